@@ -11,7 +11,7 @@ import numpy as np
 from mjgranular._util.checks import check_count
 from mjgranular.envs.dunes import DUNES
 from mjgranular.envs.task import Task
-from mjgranular.errors import InputError, RenderError, UnknownNameError
+from mjgranular.errors import InputError, RenderError, UnknownNameError, drawing
 
 RENDER_MODES = ["human", "rgb_array"]
 
@@ -54,11 +54,6 @@ class Cameras:
     def look(self, model: mujoco.MjModel, data: mujoco.MjData, sand: int) -> np.ndarray | None:
         """Render an image, shape (height, width, 3), or to the window.
 
-        Args:
-            model: the model, of the task or a copy.
-            data: a simulation of it.
-            sand: index of the active sand.
-
         Raises:
             RenderError: rendering fails on this machine; says what to install.
         """
@@ -71,9 +66,8 @@ class Cameras:
             screen = self._task.model.vis.global_
             screen.offwidth = max(screen.offwidth, self.width)
             screen.offheight = max(screen.offheight, self.height)
-            self._renderer = _make(
-                lambda: mujoco.Renderer(self._task.model, self.height, self.width)
-            )
+            with drawing():
+                self._renderer = mujoco.Renderer(self._task.model, self.height, self.width)
         self._task.model.geom_rgba[:] = model.geom_rgba
         self._renderer.update_scene(data, self._camera(data))
         return self._renderer.render()
@@ -122,8 +116,8 @@ class Cameras:
                 self.height,
                 camera_name=self.camera_name,
             )
-        viewer = self._viewer
-        _make(lambda: viewer.render("human"))
+        with drawing():
+            self._viewer.render("human")
 
 
 def _set(camera: mujoco.MjvCamera, settings: dict[str, Any]) -> None:
@@ -144,14 +138,3 @@ def _has_screen() -> bool:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         return bool(glfw.init()) and glfw.get_primary_monitor() is not None
-
-
-def _make(draw: Any) -> Any:
-    try:
-        return draw()
-    except Exception as error:  # each platform's GL fails differently
-        raise RenderError(
-            f"MuJoCo cannot draw on this machine ({type(error).__name__}: {error}); on Linux "
-            "without a screen install libegl1 (apt-get install libegl1 libgl1-mesa-dri), import "
-            "mjgranular before mujoco, and use render_mode='rgb_array'"
-        ) from None

@@ -150,12 +150,7 @@ gaits: dict[str, type[Gait]] = {
 
 
 class Script:
-    """A gait for a task, as a function from time to actions.
-
-    Args:
-        gait: the gait.
-        size: size of an action.
-    """
+    """A gait for a task, as a function from time to actions."""
 
     def __init__(self, gait: Gait, size: int) -> None:
         self.gait, self._size = gait, size

@@ -6,9 +6,9 @@ import math
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
 
 import mujoco
+import numpy as np
 
 from mjgranular import HeightField, InputError, Plane, SandSpec, Surface, add_sand
 from mjgranular.engine.measures import SENSOR
@@ -81,17 +81,8 @@ def place(
 ) -> list[SandSpec]:
     """Prepare a model for sand in place of its floor; see `put_on_sand` for the changes.
 
-    Args:
-        spec: the model to be; it is changed.
-        sands: one or several.
-        cut: as for `put_on_sand` [m].
-        tile: as for `put_on_sand` [m].
-
     Returns:
         The sands with their surfaces, and with the floors that they replace.
-
-    Raises:
-        InputError: the model has no floor and a sand has no surface.
     """
     floors = [geom for geom in spec.worldbody.geoms if _is_floor(geom)]
     for number, floor in enumerate(floors):
@@ -101,8 +92,9 @@ def place(
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.density = spec.option.viscosity = 0.0
     _let_meet(spec)
-    placed = [bare.geom(floor.name) for floor in floors]
-    surfaces = [surface_of(sand.surface) if sand.surface else _surface_of(placed) for sand in sands]
+    surfaces = [
+        surface_of(sand.surface) if sand.surface else _surface_of(bare, floors) for sand in sands
+    ]
     add_daylight(spec)
     _paint(spec, floors, surfaces, cut, tile)
     for number, body in enumerate(spec.bodies):
@@ -117,11 +109,7 @@ def place(
 
 @contextmanager
 def converted_errors() -> Iterator[None]:
-    """Turn errors that MuJoCo raises, for the sand or itself, into errors of mjgranular.
-
-    Raises:
-        InputError: MuJoCo raised an error; has its message.
-    """
+    """Turn errors that MuJoCo raises, for the sand or itself, into errors of mjgranular."""
     try:
         yield
     except GranularError:
@@ -141,7 +129,7 @@ def quiet() -> Iterator[None]:
 
 
 def _keep_extent(spec: mujoco.MjSpec) -> mujoco.MjModel:
-    """Keep the near and far clipping planes of a model without dunes, and return that model."""
+    """Keep the near and far clipping planes of a model without dunes; return that model."""
     bare = spec.copy()
     for geom in bare.worldbody.geoms:
         if geom.type == mujoco.mjtGeom.mjGEOM_HFIELD:
@@ -164,14 +152,15 @@ def _is_floor(geom: mujoco.MjsGeom) -> bool:
     return geom.type == mujoco.mjtGeom.mjGEOM_PLANE
 
 
-def _surface_of(floors: Sequence[Any]) -> Plane:
-    """Return the level plane at the height of the floor, a geom of a compiled model."""
+def _surface_of(model: mujoco.MjModel, floors: Sequence[mujoco.MjsGeom]) -> Plane:
+    """Return the level plane at the height of the floor."""
     if not floors:
         raise InputError("the model has no floor (a plane geom of the world): give a surface=...")
-    for floor in floors:
-        if math.hypot(floor.quat[1], floor.quat[2]) > 1e-5:
+    placed = [model.geom(floor.name) for floor in floors]
+    for floor in placed:
+        if np.hypot(*floor.quat[1:3]) > 1e-9:
             raise InputError(f"the floor {floor.name!r} is not level: give a surface=Plane(...)")
-    return Plane(height=max(float(floor.pos[2]) for floor in floors))
+    return Plane(height=max(float(floor.pos[2]) for floor in placed))
 
 
 def _paint(
@@ -199,10 +188,10 @@ def _paint(
         floor.rgba = [1, 1, 1, 1]
         if floor.frame is not None:
             floor.set_frame(spec.worldbody.add_frame())
-        floor.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
         floor.pos = [0, 0, plane.height - cut]
         half = plane.slope / 2
         axis = (math.sin(plane.uphill), -math.cos(plane.uphill))
+        floor.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT  # else an euler angle counts
         floor.quat = [math.cos(half), axis[0] * math.sin(half), axis[1] * math.sin(half), 0]
 
 

@@ -11,21 +11,13 @@ from mjgranular.errors import InputError, shown
 
 
 def check_number(name: str, value: Any) -> None:
-    """Check that a value is a finite number.
-
-    Raises:
-        InputError: it is not.
-    """
+    """Check that a value is a finite number."""
     if not isinstance(value, Real) or isinstance(value, bool) or not math.isfinite(value):
         raise InputError(f"{name} must be a finite number, not {shown(value)}")
 
 
 def check_option(name: str, value: Any, default: Any) -> None:
-    """Check that a value has the type of the default: a boolean, a number, a range.
-
-    Raises:
-        InputError: it does not; says what would be right.
-    """
+    """Check that a value has the type of the default: a boolean, a number, a range."""
     if isinstance(default, bool):
         check_switch(name, value)
     elif isinstance(default, (int, float)):

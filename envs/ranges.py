@@ -112,14 +112,7 @@ class SandRanges:
         object.__setattr__(self, name, (low, high))
 
     def check_within(self, other: SandRanges) -> None:
-        """Check that a curriculum samples only sand that the model has.
-
-        Args:
-            other: the ranges that the model was made for.
-
-        Raises:
-            InputError: a name is not in `other`; says in which field.
-        """
+        """Check that a curriculum samples only sand that the model has."""
         for field in fields(self):
             if field.name in ("media", "laws", "surfaces"):
                 wanted, there = getattr(self, field.name), getattr(other, field.name)
@@ -133,10 +126,6 @@ class SandRanges:
 
 def ranges_of(ranges: Any, curriculum: Any) -> SandRanges | None:
     """Return the ranges of an environment, and check its curriculum.
-
-    Args:
-        ranges: a `SandRanges`, a table of its fields, or None.
-        curriculum: a function, or None.
 
     Raises:
         UnknownArgumentError: a name in the table is not that of a field; lists the fields.
@@ -286,13 +275,7 @@ def told(
 def sands_of(
     ranges: SandRanges | None, base: SandSpec, dunes: Any
 ) -> tuple[list[SandSpec], list[Choice]]:
-    """Return the sands that a model needs for these ranges, and the choice that each of them is.
-
-    Args:
-        ranges: ranges of the sand; None for a fixed sand.
-        base: all that is not sampled.
-        dunes: the surface for "dunes".
-    """
+    """Return the sands that a model needs for these ranges, and the choice that each of them is."""
     sands, choices = [], []
     for medium in (ranges and ranges.media) or (base.medium,):
         for law in (ranges and ranges.laws) or (base.law,):

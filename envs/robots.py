@@ -219,12 +219,7 @@ def _again(environment: str | type, sand: dict[str, Any], options: dict[str, Any
 
 
 def _find(environment: Any) -> EnvSpec:
-    """Return the specification of an environment whose class supports sand.
-
-    Raises:
-        UnknownNameError: no such environment, or no such module.
-        InputError: its class does not derive from `MujocoEnv`.
-    """
+    """Return the specification of an environment whose class supports sand."""
     if isinstance(environment, gym.Env):
         raise InputError(
             "on_sand makes the environment itself, from its class or its id, not of one that is "
@@ -250,12 +245,7 @@ def _find(environment: Any) -> EnvSpec:
 
 
 def _check_options(spec: EnvSpec, options: dict[str, Any]) -> None:
-    """Check that all options are known.
-
-    Raises:
-        UnknownArgumentError: an option of neither the sand, nor the environment, nor
-            `gymnasium.make`; lists those of the sand and of the environment.
-    """
+    """Check that all options are known."""
     own = inspect.signature(_creator(spec)).parameters
     taken = {*SAND_FIELDS, *own, *inspect.signature(gym.make).parameters, *_OF_MUJOCO}
     for name in options:

@@ -104,11 +104,7 @@ class SandVecEnv(VecEnv):
         return [getattr(self.batch, attr_name) for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Set an attribute of the batch.
-
-        Raises:
-            InputError: `indices` are not all simulations, which share it.
-        """
+        """Set an attribute of the batch."""
         self._check_all(attr_name, indices)
         setattr(self.batch, attr_name, value)
 

@@ -381,11 +381,7 @@ def _height_of(surface: Surface) -> Callable[[float, float], float] | None:
 
 
 def check_actions(actions: Any, shape: tuple[int, ...] | None) -> np.ndarray:
-    """Return actions as an array.
-
-    Raises:
-        ValueError: they have another shape, as in Gymnasium, or are not finite.
-    """
+    """Return actions as an array."""
     array = np.asarray(actions)
     if array.shape != shape:
         raise InputError(f"Action dimension mismatch. Expected {shape}, found {array.shape}")

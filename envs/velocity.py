@@ -52,7 +52,7 @@ _LIFT = (0.5, -1.0)  # thigh and calf of a swinging leg [rad]
 _GAIN = 1.5  # strides over what would do without slip
 _PAIRS = np.array([1.0, -1.0, -1.0, 1.0])  # a trot: legs of one sign swing together
 _EDGE = 50.0  # of the rigid ground [m]
-_LOW = 0.1  # height of the trunk at which the robot has fallen [m]; chosen: half of standing
+_LOW = 0.06  # height of the trunk's center at which the head meets the surface [m]
 _TILT = math.cos(math.radians(70))  # as in mjlab
 
 
@@ -132,8 +132,8 @@ class Go1Velocity(Task):
     There are 7 commands and 20 pushes, enough for 20 s: in longer episodes the last command holds.
 
     ## Episode End
-    Terminated when the trunk tilts by more than 70 degrees from the axis z, or is less than
-    0.1 m above the surface. Truncated after 1000 steps of 0.02 s.
+    Terminated when the trunk tilts by more than 70 degrees from the axis z, or meets the surface:
+    its center is less than 0.06 m above it. Truncated after 1000 steps of 0.02 s.
 
     ## Arguments
     `robot_file`, a name of MuJoCo Menagerie or a path of MJCF with the same joints and calves;

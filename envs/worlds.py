@@ -31,11 +31,6 @@ class Worlds:
     it before the next. The model has `WarpSand` in place of the task's plugin, and the integrator
     `discrete`.
 
-    Args:
-        task: the task.
-        count: number of worlds.
-        device: Warp device, such as "cuda:0" or "cpu"; None for Warp's default.
-
     Attributes:
         lost: worlds whose state became NaN in the last step, shape (n,); they are reset to the
             model's initial state.
@@ -87,14 +82,7 @@ class Worlds:
         self.lost = np.zeros(count, bool)
 
     def bind(self, name: str) -> np.ndarray:
-        """Return the array of a field of `mjData`, shape (n, ...).
-
-        Args:
-            name: name of the field.
-
-        Raises:
-            InputError: the field is not read from MuJoCo Warp.
-        """
+        """Return the array of a field of `mjData`, shape (n, ...)."""
         if name not in self._arrays:
             data = mujoco.MjData(self._full)
             value = np.asarray(getattr(data, name))
@@ -104,11 +92,7 @@ class Worlds:
         return self._arrays[name]
 
     def expand(self, name: str) -> np.ndarray:
-        """Return an option of the model for each world.
-
-        Raises:
-            InputError: another option than `opt.gravity`.
-        """
+        """Return an option of the model for each world."""
         if name != "opt.gravity":
             raise InputError(f"MuJoCo Warp has no {name} for each world: step this task without it")
         return self._gravity

@@ -7,8 +7,11 @@ from __future__ import annotations
 
 import difflib
 import sys
+import threading
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from types import FrameType
 
 # Messages contain strings from files, models and arguments: their length is limited.
 _LONGEST_VALUE = 80  # characters of one value; chosen, as the two below
@@ -156,6 +159,21 @@ class RenderError(GranularError, RuntimeError):
     """Rendering does not work on this machine."""
 
 
+@contextmanager
+def drawing() -> Iterator[None]:
+    """Raise a `RenderError` for any error of the block: OpenGL fails differently everywhere."""
+    try:
+        yield
+    except GranularError:
+        raise
+    except Exception as error:
+        raise RenderError(
+            f"MuJoCo cannot draw on this machine ({type(error).__name__}: {error}); on Linux "
+            "without a screen install libegl1 (apt-get install libegl1 libgl1-mesa-dri), import "
+            "mjgranular before mujoco or set MUJOCO_GL=egl, and use render_mode='rgb_array'"
+        ) from None
+
+
 class MissingExtraError(GranularError, ImportError):
     """An optional dependency is not installed.
 
@@ -212,8 +230,23 @@ def warn_user(message: str, kind: type[GranularWarning] = GranularWarning) -> No
         message: one sentence, as for an error.
         kind: class of the warning.
     """
+    frame = _outside(sys._getframe(1))
+    if _is_ours(frame):  # compiled in another thread, for which the main one waits
+        frame = _outside(sys._current_frames()[threading.main_thread().ident or 0])
+    text, file = _cut(one_line(message), _LONGEST_MESSAGE), frame.f_code.co_filename
+    registry = frame.f_globals.setdefault("__warningregistry__", {})
+    warnings.warn_explicit(
+        text, kind, file, frame.f_lineno, frame.f_globals.get("__name__"), registry
+    )
+
+
+def _outside(frame: FrameType) -> FrameType:
+    """Return the last frame outside this package; the first of the thread if all are inside."""
+    while frame.f_back and _is_ours(frame):
+        frame = frame.f_back
+    return frame
+
+
+def _is_ours(frame: FrameType) -> bool:
     package = __name__.partition(".")[0]
-    frame, level = sys._getframe(1), 2
-    while frame.f_back and str(frame.f_globals.get("__name__")).partition(".")[0] == package:
-        frame, level = frame.f_back, level + 1
-    warnings.warn(_cut(one_line(message), _LONGEST_MESSAGE), kind, stacklevel=level)
+    return str(frame.f_globals.get("__name__")).partition(".")[0] == package

@@ -182,9 +182,6 @@ class Chain:
         Args:
             angles: angle of each link from the vertical, positive with the lower end toward +x;
                 with base "level" from the x axis, counterclockwise [rad].
-
-        Raises:
-            InputError: not one angle for each link.
         """
         angle = np.asarray(angles, float)
         if angle.shape != (self.count,):

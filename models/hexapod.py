@@ -83,11 +83,7 @@ class Hexapod:
         return self.lower + self.foot
 
     def spec(self, timestep: float) -> mujoco.MjSpec:
-        """Return an editable model, with a floor at z = 0, at a time step [s].
-
-        Args:
-            timestep: time step, with the implicit-fast integrator [s].
-        """
+        """Return an editable model, with a floor at z = 0, at a time step [s]."""
         spec = robot_scene("hexapod", timestep)
         torso = spec.worldbody.add_body(name="torso", pos=[0, 0, self.standing])
         torso.add_freejoint(name="root")

@@ -72,11 +72,7 @@ class LiRobot:
             raise InputError(f"the legs' curvature must be from -1 to 1, got {self.curvature}")
 
     def spec(self, timestep: float = 1e-3) -> mujoco.MjSpec:
-        """Build an editable model, with a floor at z = 0.
-
-        Args:
-            timestep: time step, with the implicit-fast integrator [s].
-        """
+        """Build an editable model, with a floor at z = 0."""
         spec = robot_scene("li_robot", timestep)
         body = spec.worldbody.add_body(
             name="body",

@@ -163,12 +163,7 @@ def offset(point: tuple[float, float], q: float) -> tuple[float, float]:
 
 
 def robot_scene(name: str, timestep: float) -> mujoco.MjSpec:
-    """Return an editable model without bodies: lights, a floor at z = 0, materials for robots.
-
-    Args:
-        name: name of the model.
-        timestep: time step, with the implicit-fast integrator [s].
-    """
+    """Return an editable model without bodies: lights, a floor at z = 0, materials for robots."""
     spec = mujoco.MjSpec.from_file(str(model_path("link")))
     spec.modelname = name
     spec.comment = f"Made by mjgranular.models: {name}."

@@ -119,11 +119,7 @@ class Worm:
         return self.chain.mass
 
     def spec(self, timestep: float) -> mujoco.MjSpec:
-        """Return an editable model, with a floor at z = 0, at a time step [s].
-
-        Args:
-            timestep: time step, with the implicit-fast integrator [s].
-        """
+        """Return an editable model, with a floor at z = 0, at a time step [s]."""
         level = self.posture == "level"
         spec = self.chain.spec()
         spec.modelname = "worm"

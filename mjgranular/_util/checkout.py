@@ -11,9 +11,6 @@ def add_checkout_folders(path: MutableSequence[str]) -> None:
 
     `python -m` and `python -c` put the current folder first on the path. In a checkout this folder
     then hides the installed package, but lacks what setup.py maps into it.
-
-    Args:
-        path: `mjgranular.__path__`.
     """
     package = Path(__file__).resolve().parents[1]
     if not (package / "models").is_dir() and (package.parent / "setup.py").is_file():

@@ -1,4 +1,4 @@
-"""Checks of the types of arguments, with messages that say what is expected."""
+"""Checks of the types of arguments; they raise `InputError`, which says what is expected."""
 
 from __future__ import annotations
 
@@ -17,11 +17,7 @@ _LONGEST = 4096  # characters of a string
 
 
 def check_model(model: Any, who: str) -> None:
-    """Check that `model` is a compiled model.
-
-    Raises:
-        InputError: it is not; says how to make one from it.
-    """
+    """Check that `model` is a compiled model."""
     if isinstance(model, mujoco.MjModel):
         return
     meant = "mujoco.MjModel.from_xml_path(...)"
@@ -35,11 +31,7 @@ def check_model(model: Any, who: str) -> None:
 
 
 def check_spec(spec: Any, who: str) -> None:
-    """Check that `spec` is an `MjSpec`.
-
-    Raises:
-        InputError: it is not; says how to make one from it.
-    """
+    """Check that `spec` is an `MjSpec`."""
     if isinstance(spec, mujoco.MjSpec):
         return
     meant = "mujoco.MjSpec.from_file(...)"
@@ -51,11 +43,7 @@ def check_spec(spec: Any, who: str) -> None:
 
 
 def check_data(data: Any, who: str) -> None:
-    """Check that `data` is an `MjData`.
-
-    Raises:
-        InputError: it is not; says how to make one.
-    """
+    """Check that `data` is an `MjData`."""
     if not isinstance(data, mujoco.MjData):
         raise InputError(
             f"{who} takes a mujoco.MjData, not {kind_of(data)}; use mujoco.MjData(model)"
@@ -63,38 +51,20 @@ def check_data(data: Any, who: str) -> None:
 
 
 def check_kind(value: Any, kind: type, who: str, meant: str = "") -> None:
-    """Check that a value is an instance of a class.
-
-    Args:
-        value: the given value.
-        kind: a class.
-        who: name of the caller that expects it.
-        meant: how to make one, if its name does not say so.
-
-    Raises:
-        InputError: it is not.
-    """
+    """Check that a value is an instance of a class; `meant` says how to make one."""
     if not isinstance(value, kind):
         how = f"; use {meant}" if meant else ""
         raise InputError(f"{who} takes {_one(kind.__name__)}, not {kind_of(value)}{how}")
 
 
 def check_switch(name: str, value: Any) -> None:
-    """Check that a value is True or False: any string, even "no", would count as True.
-
-    Raises:
-        InputError: it is not.
-    """
+    """Check that a value is True or False: any string, even "no", would count as True."""
     if not isinstance(value, (bool, np.bool_)):
         raise InputError(f"{name} must be True or False, not {kind_of(value)}")
 
 
 def check_count(name: str, value: Any, least: int = 1) -> None:
-    """Check that a value is an integer of at least `least`.
-
-    Raises:
-        InputError: it is not.
-    """
+    """Check that a value is an integer of at least `least`."""
     if not isinstance(value, (int, np.integer)) or isinstance(value, bool):
         raise InputError(f"{name} must be an integer, not {kind_of(value)}")
     if value < least:

@@ -9,16 +9,7 @@ from mjgranular.errors import MissingExtraError
 
 
 def require(package: str, *, extra: str, purpose: str) -> Any:
-    """Import a module of an optional dependency.
-
-    Args:
-        package: dotted name of the module.
-        extra: the extra of mjgranular that installs it.
-        purpose: what it is needed for, as the beginning of a sentence.
-
-    Raises:
-        MissingExtraError: it is not installed; gives the install line.
-    """
+    """Import a module of an optional dependency."""
     try:
         return importlib.import_module(package)
     except ModuleNotFoundError as error:

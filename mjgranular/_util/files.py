@@ -8,6 +8,8 @@ The package writes all files with this module. It guarantees four things:
   and `latest_path` reads waiting files as if they were in their places.
 - `write_folder`: the same for a folder, with checksums that reveal damage.
 - `locked`: one process at a time. The system releases the lock when its holder ends.
+
+Errors of the system are raised as `OutputError`.
 """
 
 from __future__ import annotations
@@ -27,10 +29,10 @@ from typing import TypeVar
 from mjgranular._util.io import is_plain_name, read_json
 from mjgranular.errors import GranularError, OutputError, warn_user
 
-if os.name == "nt":
-    import msvcrt
-else:
+try:
     import fcntl
+except ImportError:  # Windows
+    fcntl = None
 
 T = TypeVar("T")
 
@@ -48,11 +50,7 @@ _TRIES = 5
 
 @contextmanager
 def atomic_write(file: Path) -> Iterator[Path]:
-    """Return a path to write to; at the end its content replaces `file` atomically.
-
-    Raises:
-        OutputError: it cannot be written.
-    """
+    """Return a path to write to; at the end its content replaces `file` atomically."""
     with _staged(file, file, file.suffix) as part:  # writers choose the format by the suffix
         yield part
         _flush(part)
@@ -60,23 +58,10 @@ def atomic_write(file: Path) -> Iterator[Path]:
         _flush(file.parent)
 
 
-def write_bytes(file: Path, content: bytes) -> None:
-    """Write a file atomically.
-
-    Raises:
-        OutputError: it cannot be written.
-    """
-    with atomic_write(file) as part:
-        part.write_bytes(content)
-
-
 def write_text(file: Path, text: str) -> None:
-    """Write a UTF-8 text file atomically.
-
-    Raises:
-        OutputError: it cannot be written.
-    """
-    write_bytes(file, text.encode())
+    """Write a UTF-8 text file atomically."""
+    with atomic_write(file) as part:
+        part.write_bytes(text.encode())
 
 
 # Files that belong together
@@ -84,15 +69,7 @@ def write_text(file: Path, text: str) -> None:
 
 @contextmanager
 def replace_directory(folder: Path, *, instead_of: Sequence[str] = ()) -> Iterator[Path]:
-    """Return a folder to write files to; at the end all of them are in `folder`, or none.
-
-    Args:
-        folder: must be locked.
-        instead_of: names of files in it that the new ones replace.
-
-    Raises:
-        OutputError: they cannot be written.
-    """
+    """Return a folder to write files to; at the end all of them are in `folder`, or none."""
     with _staged(folder / _READY, folder) as part:
         part.mkdir()
         yield part
@@ -168,15 +145,7 @@ def read_consistent(folder: Path, name: str, read: Callable[[], T]) -> T:
 
 
 def write_folder(folder: Path, fill: Callable[[Path], None]) -> None:
-    """Write a folder atomically, with a manifest of sizes and SHA-256 sums.
-
-    Args:
-        folder: the folder; replaced if it exists.
-        fill: writes files into a given folder.
-
-    Raises:
-        OutputError: it cannot be written.
-    """
+    """Write a folder atomically, with a manifest of sizes and SHA-256 sums."""
     with _staged(folder, folder) as part:
         part.mkdir(parents=True)
         fill(part)
@@ -239,13 +208,11 @@ def remove_leftovers(folder: Path, names: Sequence[str] | None = None) -> None:
     mine = {_READY[1:], *(names or ())}
     for path in list(folder.glob(".*")):
         name = path.name.lstrip(".")  # two for a part of a part
-        owner, is_part, _ = name.partition(_PART)
-        is_old = not is_part and name.endswith(_GONE)
-        if is_old:
-            owner = name.removesuffix(_GONE)
+        is_part, is_old = _PART in name, name.endswith(_GONE)
+        owner = name.partition(_PART)[0] if is_part else name.removesuffix(_GONE)
         if not (is_part or is_old) or (names is not None and owner not in mine):
             continue
-        if is_old and not (folder / owner).exists():
+        if not is_part and not (folder / owner).exists():
             path.replace(folder / owner)  # killed between two renames: the old one is the newest
         else:
             _remove(path)
@@ -261,10 +228,6 @@ def locked(folder: Path, name: str = LOCK) -> Iterator[None]:
     Lock before reading what is to be changed, not only before writing. A file system without locks
     gives a warning.
 
-    Args:
-        folder: the folder.
-        name: name of the lock file; removed at the end.
-
     Raises:
         OutputError: another process is using the folder, or it cannot be written to.
     """
@@ -277,46 +240,35 @@ def locked(folder: Path, name: str = LOCK) -> Iterator[None]:
             "with --out"
         ) from None
     except OSError as error:
-        if error.errno in _NO_LOCKS:
-            warn_user(f"the file system of {folder} has no locks: let no other process write there")
-            yield
-            return
-        raise OutputError(
-            f"cannot write to {folder}: {error.strerror or error}; choose a folder that can be "
-            "written to"
-        ) from None
+        if error.errno not in _NO_LOCKS:
+            raise OutputError(
+                f"cannot write to {folder}: {error.strerror or error}; choose a folder that can be "
+                "written to"
+            ) from None
+        warn_user(f"the file system of {folder} has no locks: let no other process write there")
+        yield
+        return
     try:
         yield
     finally:
-        if os.name == "nt":  # where an open file cannot be removed
-            os.close(descriptor)
-            with suppress(OSError):
-                file.unlink()
-        else:
-            with suppress(OSError):
-                file.unlink()
-            os.close(descriptor)
+        with suppress(OSError):
+            file.unlink()
+        os.close(descriptor)
 
 
 def _lock(file: Path) -> int:
     """Open and lock a file; raise `BlockingIOError` if another process has it."""
-    tries = 0
-    while True:
+    if fcntl is None:
+        raise OSError(errno.ENOSYS, "no locks")
+    for last in (False,) * (_TRIES - 1) + (True,):
         try:
             file.parent.mkdir(parents=True, exist_ok=True)
             descriptor = os.open(file, os.O_RDWR | os.O_CREAT, 0o666)
         except FileNotFoundError:  # the previous holder removed the folder that it had made
-            tries += 1
-            if tries == _TRIES:
+            if last:
                 raise
             continue
         try:
-            if os.name == "nt":
-                try:
-                    msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
-                except OSError:
-                    raise BlockingIOError from None
-                return descriptor
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             # The previous holder removes the file: a lock on a removed file is void.
             with suppress(FileNotFoundError):
@@ -326,15 +278,12 @@ def _lock(file: Path) -> int:
             os.close(descriptor)
             raise
         os.close(descriptor)
+    raise BlockingIOError
 
 
 @contextmanager
 def _staged(path: Path, target: Path, suffix: str = "") -> Iterator[Path]:
-    """Return a hidden path next to a path, for what is renamed to it; removed at the end.
-
-    Raises:
-        OutputError: an error of the system, as one sentence about the target.
-    """
+    """Return a hidden path next to a path, for what is renamed to it; removed at the end."""
     part = _temporary(path, suffix)
     try:
         yield part
@@ -360,9 +309,9 @@ def _remove(path: Path) -> None:
 
 def _flush(path: Path) -> None:
     """Flush a file or folder to the disk."""
-    if path.is_dir() and os.name == "nt":
+    if os.name == "nt" and path.is_dir():
         return  # folders cannot be opened on this system
-    descriptor = os.open(path, os.O_RDONLY if os.name != "nt" else os.O_RDWR)
+    descriptor = os.open(path, os.O_RDWR if os.name == "nt" else os.O_RDONLY)
     try:
         os.fsync(descriptor)
     finally:

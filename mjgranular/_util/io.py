@@ -1,12 +1,13 @@
 """Safe reading of files from an earlier process or an untrusted source: only as data.
 
-A file may be missing, truncated, of the wrong kind, endless, or malicious. In every case each
-function here returns values of the documented kind, or raises an error with one sentence. Nothing
-in a file is executed.
+A file may be missing, truncated, of the wrong kind, endless, or malicious. Each function returns
+values of the documented kind, or raises an error with one sentence: `InputError` for a file of a
+user, `OutputError` for one that the package wrote. Nothing in a file is executed.
 """
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import stat
@@ -28,10 +29,6 @@ _LONGEST_PATH = 300  # characters of a path that a message shows; chosen
 _PLAINLY = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)  # not defined on all systems
 
 
-class NotRegularError(OSError):
-    """Error for a path that is not a regular file."""
-
-
 def place(path: Path) -> str:
     """Format a path for a message."""
     text = one_line(str(path))
@@ -43,36 +40,21 @@ def check_regular(path: Path, what: str) -> None:
 
     A pipe would block the reader until there is a writer; a device may be endless; opening alone
     can move a tape. The reader reports a missing file.
-
-    Raises:
-        InputError: it is not regular; `what` names the expected content.
     """
     try:
         mode = path.stat().st_mode
     except (OSError, ValueError):
         return
-    if stat.S_ISDIR(mode):
-        raise InputError(f"cannot read {what} {place(path)}: it is a folder, not a file")
     if not stat.S_ISREG(mode):
-        raise InputError(f"cannot read {what} {place(path)}: it is not a regular file")
+        kind = "a folder, not a file" if stat.S_ISDIR(mode) else "not a regular file"
+        raise InputError(f"cannot read {what} {place(path)}: it is {kind}")
 
 
 def read_file(path: Path, what: str, *, largest: int) -> bytes:
-    """Return the content of a user's file.
-
-    Args:
-        path: path of the file.
-        what: expected content, for the message: "the medium".
-        largest: largest accepted size [bytes].
-
-    Raises:
-        InputError: it cannot be read, is not a regular file, or is larger.
-    """
+    """Return the content of a user's file."""
     check_regular(path, what)
     try:
         content = _beginning(path, largest + 1)
-    except NotRegularError:
-        raise InputError(f"cannot read {what} {place(path)}: it is not a regular file") from None
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or "it is not a path"
         raise InputError(f"cannot read {what} {place(path)}: {reason}") from None
@@ -83,31 +65,20 @@ def read_file(path: Path, what: str, *, largest: int) -> bytes:
     return content
 
 
-def read_bytes(file: Path, *, most: int = _MOST_TEXT) -> bytes:
-    """Return the content of a file of a result, of `most` bytes at most.
-
-    Raises:
-        OutputError: it does not exist, cannot be read, or is larger.
-    """
+def read_bytes(file: Path) -> bytes:
+    """Return the content of a file of a result."""
     try:
-        content = _beginning(file, most + 1)
-    except NotRegularError:
-        raise OutputError(f"{file} is not a file") from None
+        content = _beginning(file, _MOST_TEXT + 1)
     except (OSError, ValueError) as error:  # ValueError: a path with a null character
-        raise OutputError(
-            f"{file} cannot be read: {getattr(error, 'strerror', None) or error}"
-        ) from None
-    if len(content) > most:
+        reason = getattr(error, "strerror", None) or error
+        raise OutputError(f"{file} cannot be read: {reason}") from None
+    if len(content) > _MOST_TEXT:
         raise OutputError(f"{file} is larger than anything that belongs there")
     return content
 
 
 def read_text(file: Path) -> str:
-    """Return the content of a UTF-8 text file.
-
-    Raises:
-        OutputError: it cannot be read, or is not UTF-8.
-    """
+    """Return the content of a UTF-8 text file."""
     try:
         return read_bytes(file).decode()
     except UnicodeDecodeError:
@@ -115,28 +86,16 @@ def read_text(file: Path) -> str:
 
 
 def read_json(file: Path) -> dict[str, Any]:
-    """Return the object in a JSON file.
-
-    Raises:
-        OutputError: it cannot be read, is not JSON, or not an object; says where.
-    """
-    return parse_json(read_text(file), str(file))
-
-
-def parse_json(text: str, where: str) -> dict[str, Any]:
-    """Parse the object in a JSON string; `where` is its source, for the message.
-
-    Raises:
-        OutputError: not JSON, or not an object.
-    """
+    """Return the object in a JSON file."""
+    text = read_text(file)
     try:
         content = json.loads(text, parse_constant=_raise_for_constant)
         if "\\u" in text:  # lone surrogates cannot be printed
             json.dumps(content, ensure_ascii=False).encode()
     except (ValueError, RecursionError) as error:
         reason = "" if isinstance(error, RecursionError) else f": {str(error)[:200]}"
-        raise OutputError(f"{where} is damaged{reason}") from None
-    return _object(content, where)
+        raise OutputError(f"{file} is damaged{reason}") from None
+    return _object(content, file)
 
 
 def read_arrays(
@@ -148,9 +107,6 @@ def read_arrays(
         file: the file.
         names: names of the arrays.
         most: largest accepted size of the arrays [bytes]; None for the size of the file.
-
-    Raises:
-        OutputError: it cannot be read, or lacks one of the names; says which.
     """
     if not file.is_file():
         raise OutputError(f"{file} cannot be read: there is no such file")
@@ -173,11 +129,7 @@ def read_arrays(
 
 
 def number(content: Mapping[str, Any], name: str, where: object) -> float | None:
-    """Return a finite number or None from a parsed object.
-
-    Raises:
-        OutputError: it is missing, or neither of these.
-    """
+    """Return a finite number or None from a parsed object."""
     value = content.get(name, "")
     if not fits(value, float | None):
         raise OutputError(f"{where} is damaged: {name} must be a number, not {_kind(value)}")
@@ -185,11 +137,7 @@ def number(content: Mapping[str, Any], name: str, where: object) -> float | None
 
 
 def checked_fields(cls: type, content: object, where: object) -> dict[str, Any]:
-    """Return the fields of a dataclass from a parsed object; check names and types (`fits`).
-
-    Raises:
-        OutputError: says which field is wrong.
-    """
+    """Return the fields of a dataclass from a parsed object; check names and types (`fits`)."""
     fields, hints = _object(content, where), typing.get_type_hints(cls)
     for name, value in fields.items():
         if name not in hints:
@@ -215,7 +163,7 @@ def _beginning(path: Path, most: int) -> bytes:
     descriptor = os.open(path, os.O_RDONLY | _PLAINLY)
     with os.fdopen(descriptor, "rb") as file:
         if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-            raise NotRegularError
+            raise OSError(errno.EINVAL, "it is not a regular file")
         return file.read(most) or b""
 
 

@@ -9,11 +9,6 @@ def name_of(model: mujoco.MjModel, kind: str, number: int) -> str:
     """Return the name of a body, geom or the like, "" for none; escape bytes that are not UTF-8.
 
     MuJoCo accepts such bytes, but its Python bindings raise `UnicodeDecodeError` on reading them.
-
-    Args:
-        model: the model.
-        kind: `body`, `geom`, `flex`, `pair`.
-        number: its id.
     """
     names, begin = model.names, int(getattr(model, f"name_{kind}adr")[number])
     return names[begin : names.index(b"\0", begin)].decode(errors="backslashreplace")

@@ -24,10 +24,6 @@ def read_part(text: str, register: Registry[type[T]], kind: str) -> tuple[type[T
     """Parse `name option=value ...`: return the class of that name, and the options by name.
 
     The classes are dataclasses of their options; `kind` says what they are, in one word.
-
-    Raises:
-        UnknownNameError: no such name; lists the valid ones.
-        InputError: an option that is unknown, given twice, or of a wrong type.
     """
     words = split_words(text)
     if not words:
@@ -37,11 +33,7 @@ def read_part(text: str, register: Registry[type[T]], kind: str) -> tuple[type[T
 
 
 def split_words(text: str) -> list[str]:
-    """Split a string into words as a shell does, where quotes keep words together.
-
-    Raises:
-        InputError: a quote is not closed.
-    """
+    """Split a string into words as a shell does, where quotes keep words together."""
     try:
         return shlex.split(text)
     except ValueError as error:
@@ -51,11 +43,7 @@ def split_words(text: str) -> list[str]:
 
 
 def read_value(text: str, kind: Any, name: str) -> Any:
-    """Parse a value of type bool, int, float, str or `float | None`.
-
-    Raises:
-        InputError: it is of another type, or a type that cannot be written as a string.
-    """
+    """Parse a value of type bool, int, float, str or `float | None`."""
     if kind is bool:
         if text not in ("true", "false"):
             raise InputError(f"{name} must be true or false, not {shown(text)}")
@@ -75,11 +63,7 @@ def read_value(text: str, kind: Any, name: str) -> Any:
 
 
 def read_options(words: Iterable[str], cls: Any, what: str) -> dict[str, Any]:
-    """Parse `name=value` words as fields of a dataclass.
-
-    Raises:
-        InputError: an option of `what` that is unknown, given twice, or of a wrong type.
-    """
+    """Parse `name=value` words as fields of a dataclass."""
     hints = get_type_hints(cls)
     kinds = {field.name: hints[field.name] for field in fields(cls)}
     options = {}

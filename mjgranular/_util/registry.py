@@ -18,11 +18,7 @@ class Registry(Mapping[str, T]):
         self._things: dict[str, T] = {}
 
     def add(self, name: str, thing: T, *, replace: bool = False) -> None:
-        """Register `thing` as `name`.
-
-        Raises:
-            InputError: another thing has the name and `replace` is false.
-        """
+        """Register `thing` as `name`."""
         if not replace and self._things.get(name, thing) is not thing:
             raise InputError(
                 f"a {self._kind} named {name!r} exists already; choose another name or replace=True"

@@ -23,10 +23,6 @@ TRAINING = "train"
 class ResultFolder:
     """A folder for the files of one result.
 
-    Args:
-        path: the folder; need not exist.
-        names: names of the files that may be written.
-
     Attributes:
         path: the folder.
     """
@@ -52,7 +48,7 @@ class ResultFolder:
                 `overwrite` is false, it contains a training run, is not a folder, or cannot be
                 written to.
         """
-        made = _missing(self.path)
+        made = [path for path in (self.path, *self.path.parents) if not path.exists()]
         # A single file, such as a film, may go to a folder that another process uses.
         lock = files.LOCK if self._is_a_result else f".{self._names[0]}{files.LOCK}"
         try:
@@ -112,12 +108,7 @@ class ResultFolder:
         return [name for name in names if is_plain_name(name)] if isinstance(names, list) else []
 
     def write(self, name: str, fill: Callable[[Path], object]) -> Path:
-        """Write a file atomically.
-
-        Args:
-            name: name of the file, one of the claimed names.
-            fill: writes to a given path.
-        """
+        """Write a file atomically."""
         path = (self._waiting or self.path) / name
         with files.atomic_write(path) as part:
             fill(part)
@@ -141,12 +132,3 @@ class ResultFolder:
                 "files": list(self._names),
             },
         )
-
-
-def _missing(folder: Path) -> list[Path]:
-    """Return the folders to be made, the innermost first."""
-    missing = []
-    while not folder.exists() and folder != folder.parent:
-        missing.append(folder)
-        folder = folder.parent
-    return missing

@@ -12,11 +12,7 @@ _ENDING = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasat
 
 
 class Stopped(KeyboardInterrupt):
-    """The process received a signal to end.
-
-    Args:
-        number: number of the signal.
-    """
+    """The process received a signal to end."""
 
     def __init__(self, number: int) -> None:
         self.number = int(number)

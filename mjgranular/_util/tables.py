@@ -9,13 +9,7 @@ from mjgranular.errors import one_line
 
 
 def html_table(title: str, headings: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """Return a table as HTML; all strings are escaped.
-
-    Args:
-        title: title above the table.
-        headings: headings of the columns.
-        rows: one cell per column; numbers are shown with four digits.
-    """
+    """Return a table as HTML; all strings are escaped."""
     head = "".join(f"<th>{_text(heading)}</th>" for heading in headings)
     body = "".join(f"<tr>{''.join(f'<td>{_text(c)}</td>' for c in row)}</tr>" for row in rows)
     caption = f"<caption>{_text(title)}</caption>"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -14,11 +14,12 @@ from mjgranular.calibrate.runs import Run
 from mjgranular.calibrate.simulate import lowest_depth
 from mjgranular.calibrate.simulator import Simulator
 from mjgranular.calibrate.trial import Series, Trial
-from mjgranular.errors import InputError, UnknownNameError, shown
+from mjgranular.errors import InputError, shown
 from mjgranular.experiment.drop import Drop, load, start_from
 from mjgranular.sand.chosen import geoms_in_sand
 from mjgranular.sand.spec import SandSpec
 from mjgranular.scheme import Implicit
+from mjgranular.shape.select import find_all
 from mjgranular.surface import Plane
 from mjgranular.surface.floors import WOULD_CARRY, describe_floors, find_floors
 
@@ -41,14 +42,8 @@ _LEAST_PITCH = 10.0  # scale of a pitch that hardly changes [degrees]; chosen
 _TOUCH = 0.03  # parts of the depth by which the first touch may be off; chosen
 
 
-@dataclass(frozen=True)
-class Arrest:
-    """End of a fall.
-
-    Attributes:
-        depth: final depth, the mean of the last rows [m].
-        time: time after the touch at which the lowest point stops [s]; None if it does not.
-    """
+class Arrest(NamedTuple):
+    """Final depth [m], and the time at which the lowest point stops, after the touch [s]."""
 
     depth: float
     time: float | None
@@ -109,18 +104,7 @@ def find_arrest(since: np.ndarray, depth: np.ndarray) -> Arrest:
 
 
 def check_units(time: np.ndarray, depth: np.ndarray, speed: float, size: float, where: str) -> None:
-    """Check that depths and times are plausible in meters and seconds; guess the unit if not.
-
-    Args:
-        time: [s], shape (n,).
-        depth: [m], shape (n,); some of it is in the sand.
-        speed: speed at the touch [m/s].
-        size: largest extent of the body [m]; infinite if unknown.
-        where: name of the run, for messages.
-
-    Raises:
-        InputError: they are not; names the likely unit.
-    """
+    """Check that depths and times are plausible in meters and seconds; guess the unit if not."""
     greatest = float(depth.max())
     near = np.flatnonzero(depth >= 0.9 * greatest)[0]
     begin = np.flatnonzero(depth[: near + 1] <= _BEGINNING * greatest)
@@ -160,11 +144,7 @@ def settling(since: np.ndarray, values: np.ndarray) -> float:
 
 
 def check_record(time: np.ndarray, depth: np.ndarray, where: str) -> None:
-    """Check that a record has enough rows, increasing times and contact.
-
-    Raises:
-        InputError: it does not; says which is missing.
-    """
+    """Check that a record has enough rows, increasing times and contact."""
     if len(time) < 4:
         raise InputError(f"{where}: a trajectory needs at least 4 rows, got {len(time)}")
     back = np.flatnonzero(np.diff(time) <= 0)
@@ -182,11 +162,7 @@ def check_record(time: np.ndarray, depth: np.ndarray, where: str) -> None:
 
 
 class DropTrial(Trial):
-    """A drop of a body of simple shape.
-
-    Raises:
-        InputError: times that go back, no contact, or implausible units.
-    """
+    """A drop of a body of simple shape."""
 
     carries = 3
     axis = "time"
@@ -201,12 +177,14 @@ class DropTrial(Trial):
         if self._speed > 0 or run.body is not None:
             size = math.inf if run.body is None else run.body.size
             check_units(time, depth, self._speed, size, self._where)
-        self.touch = self._touch(time, depth)
+        falls = run.kind == "drop"  # a model starts at its first row
+        self.touch = self._touch(time, depth) if falls else float(time[0])
         since = time - self.touch
         curves = [np.maximum(depth, 0.0)]
         curves += [measured["pitch"]] if "pitch" in measured else []
         moving = max(settling(since, curve) for curve in curves)
-        used = (since <= _AFTER * moving) & (since >= -min(_BEFORE * moving, self._longest_fall))
+        before = min(_BEFORE * moving, self._speed / GRAVITY) if falls else 0.0
+        used = (since <= _AFTER * moving) & (since >= -before)
         self.places = time[used]
         self.series = (Series("depth", depth[used], float(depth.max())),)
         if "pitch" in measured:
@@ -216,17 +194,13 @@ class DropTrial(Trial):
             self.series += (Series("pitch", pitch[used], scale),)
         self.arrest = find_arrest(self.places - self.touch, depth[used])
         self._simulator = self._make_simulator(float(self.places[-1] - self.touch))
-        if run.touch is None and self._speed > 0:
-            self._free_touch(time, depth)
+        if falls and run.touch is None and self._speed > 0:  # it is fitted with the constants
+            off = max(_TOUCH * float(depth.max()) / self._speed, float(np.median(np.diff(time))))
+            self.shift, self.shift_range = self.touch, (self.touch - off, self.touch + off)
 
     @property
     def speeds(self) -> tuple[float, ...]:
         return (self._speed,)
-
-    @property
-    def _longest_fall(self) -> float:
-        """The longest time that the body can have fallen before the touch [s]."""
-        return self._speed / GRAVITY
 
     def _touch(self, time: np.ndarray, depth: np.ndarray) -> float:
         """Return the time of the touch [s], given or found."""
@@ -240,26 +214,17 @@ class DropTrial(Trial):
             )
         return touch
 
-    def _free_touch(self, time: np.ndarray, depth: np.ndarray) -> None:
-        """Have the touch fitted with the constants."""
-        gap = float(np.median(np.diff(time)))
-        off = max(_TOUCH * float(depth.max()) / self._speed, gap)
-        self.shift, self.shift_range = self.touch, (self.touch - off, self.touch + off)
-
     def _check_pitch(self, first: float) -> None:
         """Check the first pitch [degrees] against the angle of the run."""
         angle = round(math.degrees(self.run.angle), 9)
-        if abs(first - angle) <= 10:
-            return
-        if abs(math.degrees(first) - angle) < 10:
+        if abs(first - angle) > 10:
+            hint = "both are that of the axis from the vertical"
+            if abs(math.degrees(first) - angle) < 10:
+                hint = "it looks like radians; name the column 'pitch [rad]'"
             raise InputError(
-                f"{self._where}: the first pitch is {first:.3g} degrees, and the angle {angle:g}: "
-                "it looks like radians; name the column 'pitch [rad]'"
+                f"{self._where}: the first pitch is {first:.3g} degrees, and the angle of the run "
+                f"{angle:g}: {hint}"
             )
-        raise InputError(
-            f"{self._where}: the first pitch is {first:.3g} degrees, and the angle of the run "
-            f"{angle:g}: both are that of the axis from the vertical"
-        )
 
     def _make_simulator(self, duration: float) -> Simulator:
         self._timestep = float(np.clip(duration / _STEPS, *_STEP_RANGE))
@@ -321,23 +286,10 @@ class DropTrial(Trial):
 class ModelTrial(DropTrial):
     """A body of a custom model: it starts from its keyframe at the first row of the record."""
 
-    @property
-    def _longest_fall(self) -> float:
-        return 0.0
-
-    def _touch(self, time: np.ndarray, depth: np.ndarray) -> float:
-        return float(time[0])
-
-    def _free_touch(self, time: np.ndarray, depth: np.ndarray) -> None:
-        """Keep the touch: the model starts at the first row."""
-
     def _make_simulator(self, duration: float) -> Simulator:
         run = self.run
         model, _ = load(Drop(run.model, keyframe=run.keyframe))
-        body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, run.model_body or "")
-        if body < 0:
-            names = [model.body(k).name for k in range(1, model.nbody)]
-            raise UnknownNameError("body of the model", run.model_body, [n for n in names if n])
+        (body,) = find_all(model, "body", run.model_body)
         floors = find_floors(model, geoms_in_sand(model, SandSpec()), Plane())
         if floors:
             raise InputError(

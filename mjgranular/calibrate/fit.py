@@ -21,7 +21,6 @@ from mjgranular.calibrate.identifiability import (
 )
 from mjgranular.calibrate.intervals import spread_of
 from mjgranular.calibrate.material import STRENGTH, Material
-from mjgranular.calibrate.motion import Motion
 from mjgranular.calibrate.problem import Problem
 from mjgranular.calibrate.result import Curve, FitResult
 from mjgranular.calibrate.runs import MeasuredRun, Run
@@ -29,14 +28,6 @@ from mjgranular.calibrate.trial import PushTrial, RowsTrial, Trial
 from mjgranular.errors import InputError, UnknownNameError, UnstableError, shown
 from mjgranular.law import Law
 from mjgranular.medium import Medium, get_medium
-
-_TRIALS: dict[str, Callable[[Run], Trial]] = {
-    "drop": DropTrial,
-    "intrude": PushTrial,
-    "drag": PushTrial,
-    "model": ModelTrial,
-}
-"""Trials of a `Run`, by kind."""
 
 _SCAN = tuple(10.0**k for k in range(-3, 4))  # starts that are tried if none is given
 _MOST_ROUNDS = 40
@@ -129,17 +120,11 @@ def run_fit(fit: Fit, *, progress: Progress | None = None) -> FitResult:
     """
     check_kind(fit, Fit, "run_fit", "read_fit('runs.yaml', free=[...])")
     optimize = require("scipy.optimize", extra="fit", purpose="Fitting")
-    special = require("scipy.special", extra="fit", purpose="Fitting")
     trials = {run.name: _trial(run) for run in fit.runs}
     fitted = [trial for name, trial in trials.items() if name not in fit.hold_out]
     _check_enough(fitted, fit.free)
-
-    def show(count: int) -> None:
-        if progress is not None:
-            progress(count, "fitting")
-
     start = _with_starts(fit, fitted)
-    problem = Problem(fitted, start, fit.free, show)
+    problem = Problem(fitted, start, fit.free, progress)
     x = problem.start()
     if any(outcome is None for outcome in problem.outcomes(x)):
         raise UnstableError(f"a run diverges with {start.law}: start from other constants")
@@ -155,19 +140,17 @@ def run_fit(fit: Fit, *, progress: Progress | None = None) -> FitResult:
         gtol=1e-9,
         max_nfev=_MOST_ROUNDS,
     )
-    return _result(fit, start, problem, solution.x, trials, special)
+    return _result(fit, start, problem, solution.x, trials)
 
 
 def _trial(run: Run | MeasuredRun) -> Trial:
-    return RowsTrial(run) if isinstance(run, MeasuredRun) else _TRIALS[run.kind](run)
+    if isinstance(run, MeasuredRun):
+        return RowsTrial(run)
+    return {"drop": DropTrial, "model": ModelTrial}.get(run.kind, PushTrial)(run)
 
 
 def _check_enough(trials: Sequence[Trial], free: Sequence[str]) -> None:
-    """Check that the data suffice for the free constants.
-
-    Raises:
-        InputError: they do not; says for how many they do.
-    """
+    """Check that the data suffice for the free constants."""
     rows = sum(trial.rows for trial in trials)
     carried = sum(trial.carries + len(trial.series) - 1 for trial in trials)
     if len(free) > carried or len(free) >= rows:
@@ -179,23 +162,15 @@ def _check_enough(trials: Sequence[Trial], free: Sequence[str]) -> None:
 
 
 def _with_starts(fit: Fit, trials: Sequence[Trial]) -> Material:
-    """Return the initial material; a default on a bound is replaced by the best power of ten.
-
-    Raises:
-        InputError: a given start lies on a bound.
-    """
+    """Return the initial material; a default on a bound is replaced by the best power of ten."""
     material = fit.material
     for name in fit.free:
-        if material.has_start(name):
-            continue
-        best, least = material, np.inf
-        for value in _SCAN:
-            tried = material.changed({name: value})
-            probe = Problem(trials, tried, (name,))
-            error = float(np.square(probe.residual(probe.start())).sum())
-            if error < least:
-                best, least = tried, error
-        material = best
+        if not material.has_start(name):
+            costs = {}
+            for value in _SCAN:
+                probe = Problem(trials, material.changed({name: value}), (name,))
+                costs[value] = np.square(probe.residual(probe.start())).sum()
+            material = material.changed({name: min(costs, key=costs.__getitem__)})
     return material
 
 
@@ -205,7 +180,6 @@ def _result(
     problem: Problem,
     x: np.ndarray,
     trials: Mapping[str, Trial],
-    special: Any,
 ) -> FitResult:
     """Return the result at the solution `x`, with intervals and what the data determine."""
     count, names = problem.count, fit.free
@@ -217,17 +191,10 @@ def _result(
     jacobian[:, count:][:, held[count:]] = 0.0  # a touch on its bound cannot move
     scale = np.where(np.abs(x) > near, np.abs(x), sizes)[:count]
     moving = np.concatenate([np.arange(count), count + np.flatnonzero(~held[count:])])
-    spread = spread_of(
-        jacobian[:, moving],
-        residual,
-        problem.blocks(),
-        problem.runs(),
-        problem.sizes(scale)[moving],
-        special,
-    )
+    blocks, size = problem.blocks(), problem.sizes(scale)[moving]
+    half, correlation = spread_of(jacobian[:, moving], residual, blocks, problem.runs(), size)
     information = Information.of(jacobian, scale)
-    half = spread.half[:count]
-    relative = half / scale
+    relative = half[:count] / scale
     one_speed = trades_off(problem.trials, material, names)
     flat = (information.collinear() >= COLLINEAR) | one_speed
     good = ~flat & (relative <= WIDE)
@@ -242,7 +209,10 @@ def _result(
         fitted = trial in problem.trials
         shift = problem.shift_of(x, problem.trials.index(trial)) if fitted else trial.shift
         (runs if fitted else held_out)[name] = trial.errors(outcome, shift)
-        curves[name] = _curves(trial, outcome, shift, not fitted)
+        curves[name] = tuple(
+            Curve(trial.axis, s.name, trial.since(shift), s.values, values, not fitted)
+            for s, values in zip(trial.series, trial.predicted(outcome, shift), strict=True)
+        )
     return FitResult(
         start=start,
         material=material,
@@ -253,7 +223,7 @@ def _result(
             for k, name in enumerate(names)
         },
         correlations={
-            a: {b: float(spread.correlation[i, j]) for j, b in enumerate(names) if i != j}
+            a: {b: float(correlation[i, j]) for j, b in enumerate(names) if i != j}
             for i, a in enumerate(names)
         },
         identifiable={name: bool(good[k]) for k, name in enumerate(names)},
@@ -263,7 +233,7 @@ def _result(
         runs=runs,
         held_out=held_out,
         curves=curves,
-        residual=float(np.sqrt(np.square(residual).sum() / len(problem.blocks()))),
+        residual=float(np.sqrt(np.square(residual).sum() / len(blocks))),
         evaluations=problem.evaluations,
     )
 
@@ -272,20 +242,9 @@ def _interval(
     value: float, half: float, relative: float, low: float, high: float
 ) -> tuple[float | None, float | None]:
     """Return the ends of an interval, within the law's bounds; None for no end."""
-    if not relative < _UNKNOWN:
-        half = np.inf
-    below, above = max(value - half, low), min(value + half, high)
-    return (
-        float(below) if np.isfinite(below) else None,
-        float(above) if np.isfinite(above) else None,
+    half = half if relative < _UNKNOWN else np.inf
+    below, above = (
+        float(end) if np.isfinite(end) else None
+        for end in (max(value - half, low), min(value + half, high))
     )
-
-
-def _curves(
-    trial: Trial, outcome: Motion, shift: float | None, held_out: bool
-) -> tuple[Curve, ...]:
-    places = trial.since(shift)
-    return tuple(
-        Curve(trial.axis, series.name, places, series.values, values, held_out)
-        for series, values in zip(trial.series, trial.predicted(outcome, shift), strict=True)
-    )
+    return below, above

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
@@ -32,8 +31,6 @@ _FASTEST = 6.0  # a fall of 1.8 m [m/s]
 _OTHER = 3.0  # factor for faster, slower, heavier; chosen
 _SHOWN = 4
 _ROWS = 60  # rows of a planned record
-
-Plan = Callable[[], Trial]
 
 
 def trades_off(trials: Sequence[Trial], material: Material, names: Sequence[str]) -> bool:
@@ -101,23 +98,15 @@ def further_tests(
     half: np.ndarray,
     scale: np.ndarray,
 ) -> tuple[FurtherTest, ...]:
-    """Propose further tests, simulated with the fitted law; the most useful first.
-
-    Args:
-        problem: the fit.
-        material: the material with the fitted constants.
-        now: information of the data.
-        half: half widths of the intervals, in parts of each value.
-        scale: size of each constant.
-    """
+    """Propose further tests, simulated with the fitted law; the most useful first."""
     names = problem.free
     before = np.sqrt(np.diag(now.inverse))
     # From derivatives to intervals, as in the fit.
     unit = float(np.median(np.where(np.isfinite(half), half, 0.1) / before))
     found = []
-    for what, plan in _candidates(problem.trials, material):
+    for what, run in _candidates(problem.trials):
         try:
-            trial = plan()
+            trial = _planned(run, material)
             planned = Problem([trial], material, names)
             jacobian = planned.jacobian(planned.start())
         except GranularError:
@@ -137,7 +126,7 @@ def further_tests(
     return tuple(test for _, test in found[:_SHOWN])
 
 
-def _candidates(trials: Sequence[Trial], material: Material) -> Iterator[tuple[str, Plan]]:
+def _candidates(trials: Sequence[Trial]) -> Iterator[tuple[str, Run]]:
     """Yield tests with the available bodies, with descriptions."""
     drops = [t for t in trials if type(t) is DropTrial]
     pushes = [t for t in trials if isinstance(t, PushTrial)]
@@ -145,7 +134,8 @@ def _candidates(trials: Sequence[Trial], material: Material) -> Iterator[tuple[s
     if not bodies:
         return
     body = bodies[0]
-    yield from _drops(drops, body, material)
+    if body.is_heavy:
+        yield from _drops(drops, body)
     depths = [float(t.arrest.depth) for t in drops]
     depths += [float(t.places.max()) if t.run.depth is None else t.run.depth for t in pushes]
     depth = max(min(depths), 0.2 * body.diameter)
@@ -153,67 +143,56 @@ def _candidates(trials: Sequence[Trial], material: Material) -> Iterator[tuple[s
     size = plain.describe()
     if not any(t.axis == "depth" for t in pushes):
         slow = "pushed down slowly, force against depth"
-        yield f"the {size} {slow}", partial(_planned_push, plain, depth, material)
+        yield f"the {size} {slow}", _push(plain, depth)
         if plain.shape != "plate":
             side = plain.diameter if plain.length is None else plain.length / 2
             plate = Body("plate", side / 5, side)
-            yield f"a {plate.describe()} {slow}", partial(_planned_push, plate, depth, material)
-    yield (
-        f"the {size} drawn along at a depth of {depth * 1e3:.2g} mm, force against speed to 1 m/s",
-        partial(_planned_drag, plain, depth, material),
+            yield f"a {plate.describe()} {slow}", _push(plate, depth)
+    what = (
+        f"the {size} drawn along at a depth of {depth * 1e3:.2g} mm, force against speed to 1 m/s"
     )
+    record = {"speed": np.linspace(0.01, 1.0, 15), "force": np.ones(15)}
+    yield what, Run("planned", "drag", record, body=plain, depth=depth)
 
 
-def _drops(
-    drops: Sequence[DropTrial], body: Body, material: Material
-) -> Iterator[tuple[str, Plan]]:
+def _drops(drops: Sequence[DropTrial], body: Body) -> Iterator[tuple[str, Run]]:
     """Yield drops that are slower, faster or heavier than the measured ones."""
     speeds = [t.run.speed or 0.0 for t in drops if t.run.body == body]
     angle = drops[0].run.angle if drops else 0.0
     duration = 3 * max([t.arrest.time or 0.05 for t in drops], default=0.1)
     wanted = (min(speeds) / _OTHER, min(max(speeds) * _OTHER, _FASTEST)) if speeds else (1.0, 3.0)
-    for speed in wanted:
-        if all(not 1 / _OTHER_SPEED < speed / max(v, 1e-9) < _OTHER_SPEED for v in speeds):
-            what = f"a drop of the {body.describe()} at {speed:.2g} m/s"
-            yield what, partial(_planned_drop, body, speed, angle, duration, material)
-    if speeds:
-        heavy, speed = body.heavier(_OTHER), speeds[0]
-        what = f"a drop of a {heavy.describe()} at {speed:.2g} m/s"
-        yield what, partial(_planned_drop, heavy, speed, angle, duration, material)
-
-
-def _planned_drop(
-    body: Body, speed: float, angle: float, duration: float, material: Material
-) -> DropTrial:
-    """Return a drop, followed for a time [s] or until it rests.
-
-    Raises:
-        GranularError: the law does not support the body, or it does not reach the sand.
-    """
+    found = [
+        (body, speed)
+        for speed in wanted
+        if all(not 1 / _OTHER_SPEED < speed / max(v, 1e-9) < _OTHER_SPEED for v in speeds)
+    ]
+    found += [(body.heavier(_OTHER), speeds[0])] if speeds else []
     time = np.linspace(0.0, duration, 4)
-    free = {"time": time, "depth": speed * time + 0.1 * GRAVITY * time**2}
-    run = Run("planned", "drop", free, body=body, speed=speed, angle=angle)
+    for dropped, speed in found:
+        record = {"time": time, "depth": speed * time + 0.1 * GRAVITY * time**2}
+        article = "the" if dropped is body else "a"
+        yield (
+            f"a drop of {article} {dropped.describe()} at {speed:.2g} m/s",
+            Run("planned", "drop", record, body=dropped, speed=speed, angle=angle),
+        )
+
+
+def _push(body: Body, depth: float) -> Run:
+    """Return a slow push to a depth [m]."""
+    record = {"depth": np.linspace(depth / _ROWS, depth, _ROWS), "force": np.ones(_ROWS)}
+    return Run("planned", "intrude", record, body=body)
+
+
+def _planned(run: Run, material: Material) -> Trial:
+    """Return a run with what would be measured; a drop ends when it rests, or with its record."""
+    if run.kind != "drop":
+        force = PushTrial(run).simulate(material).force
+        return PushTrial(replace(run, data=run.measured() | {"force": force}))
     fall = DropTrial(run).simulate(material)
     assert fall.time is not None
     arrest = find_arrest(fall.time, fall.depth)
-    time = np.linspace(0.0, min(1.3 * (arrest.time or duration), fall.time[-1]), _ROWS)
-    record = {"time": time, "depth": np.interp(time, fall.time, fall.depth)}
-    return DropTrial(replace(run, data=record))
-
-
-def _planned_push(body: Body, depth: float, material: Material) -> PushTrial:
-    """Return a slow push to a depth [m]."""
-    record = {"depth": np.linspace(depth / _ROWS, depth, _ROWS), "force": np.ones(_ROWS)}
-    return _simulated(Run("planned", "intrude", record, body=body), material)
-
-
-def _planned_drag(body: Body, depth: float, material: Material) -> PushTrial:
-    """Return a drag at a depth [m], at speeds up to 1 m/s."""
-    record = {"speed": np.linspace(0.01, 1.0, 15), "force": np.ones(15)}
-    return _simulated(Run("planned", "drag", record, body=body, depth=depth), material)
-
-
-def _simulated(run: Run, material: Material) -> PushTrial:
-    """Return a run with the forces of a material."""
-    force = PushTrial(run).simulate(material).force
-    return PushTrial(replace(run, data=run.measured() | {"force": force}))
+    longest = 1.3 * (arrest.time or float(run.measured()["time"][-1]))
+    time = np.linspace(0.0, min(longest, fall.time[-1]), _ROWS)
+    return DropTrial(
+        replace(run, data={"time": time, "depth": np.interp(time, fall.time, fall.depth)})
+    )

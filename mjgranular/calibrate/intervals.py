@@ -19,30 +19,14 @@ the interval is at least the spread between runs.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
-
 import numpy as np
+
+from mjgranular._util.extras import require
 
 _FLAT = 1e-4  # singular value below which a direction is flat: no measurement is that good; chosen
 _TAKES_PART = 0.05  # least part of a flat direction; chosen
 _RUNS = 4  # least number of runs for the jackknife; chosen
 SMALLEST = 1e-7  # singular value, in parts of the largest, below which nothing is reported; chosen
-
-
-@dataclass(frozen=True)
-class Spread:
-    """Uncertainty of the unknowns.
-
-    Attributes:
-        half: half widths of the 95 % intervals, shape (unknowns,).
-        correlation: correlation of the estimates, shape (unknowns, unknowns).
-        freedom: remaining degrees of freedom.
-    """
-
-    half: np.ndarray
-    correlation: np.ndarray
-    freedom: float
 
 
 def correlation_time(errors: np.ndarray) -> float:
@@ -72,18 +56,17 @@ def spread_of(
     blocks: list[slice],
     runs: list[slice],
     scale: np.ndarray,
-    special: Any,
-) -> Spread:
-    """Return the uncertainty of the unknowns at the least-squares solution.
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return half widths of the 95 % intervals of the unknowns, and correlations of the estimates.
 
     Args:
-        jacobian: shape (rows, unknowns).
+        jacobian: shape (rows, unknowns), at the least-squares solution.
         residual: shape (rows,).
         blocks: rows of each series.
         runs: rows of each run.
         scale: size of each unknown, shape (unknowns,).
-        special: the module `scipy.special`.
     """
+    special = require("scipy.special", extra="fit", purpose="Fitting")
     J = jacobian * scale
     _, s, Vt = np.linalg.svd(J, full_matrices=False)
     inverse = (Vt.T / np.maximum(s, SMALLEST * max(s[0], 1e-300)) ** 2) @ Vt
@@ -107,7 +90,7 @@ def spread_of(
     flat = Vt[s < _FLAT * s[0]]
     half = np.where((np.abs(flat) > _TAKES_PART).any(axis=0), np.inf, half * scale)
     size = np.sqrt(np.diag(inverse))
-    return Spread(half, np.clip(inverse / np.outer(size, size), -1.0, 1.0), freedom)
+    return half, np.clip(inverse / np.outer(size, size), -1.0, 1.0)
 
 
 def _jackknife(J: np.ndarray, residual: np.ndarray, runs: list[slice]) -> np.ndarray:

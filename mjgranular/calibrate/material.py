@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import MISSING, dataclass, fields, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any, get_type_hints
 
@@ -43,12 +43,7 @@ class Material:
 
     @classmethod
     def of(cls, medium: Medium, law: str | Law | None) -> Material:
-        """Return the law with the medium's constants; `law` as `Sand` takes it.
-
-        Raises:
-            UnknownNameError: no such law, or the medium has no constants for it.
-            InputError: a constant out of range.
-        """
+        """Return the law with the medium's constants; `law` as `Sand` takes it."""
         made = law_of(law, medium)
         names = {field.name for field in fields(made)}  # pyright: ignore[reportArgumentType]
         if isinstance(law, Law):
@@ -59,10 +54,6 @@ class Material:
         if isinstance(law, str):
             given |= law_in(law)[1].keys()
         return cls(made, medium, frozenset(given))
-
-    @cached_property
-    def _kinds(self) -> dict[str, Any]:
-        return get_type_hints(type(self.law))
 
     @cached_property
     def _stronger(self) -> tuple[str, ...]:
@@ -80,8 +71,9 @@ class Material:
 
     @cached_property
     def _numbers(self) -> tuple[str, ...]:
+        kinds = get_type_hints(type(self.law))
         every = fields(self.law)  # pyright: ignore[reportArgumentType]
-        return tuple(field.name for field in every if self._kinds[field.name] is float)
+        return tuple(field.name for field in every if kinds[field.name] is float)
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -104,11 +96,7 @@ class Material:
         return float(getattr(self.law, name))
 
     def changed(self, values: dict[str, float]) -> Material:
-        """Return the material with other values of some constants; strength is a factor on it.
-
-        Raises:
-            InputError: a value that the law, or the medium, does not accept.
-        """
+        """Return the material with other values of some constants; strength is a factor on it."""
         own: Any = {name: value for name, value in values.items() if name in self._numbers}
         law = replace(self.law, **own) if own else self.law  # pyright: ignore
         medium = self.medium
@@ -131,13 +119,7 @@ class Material:
         return False
 
     def check_free(self, names: tuple[str, ...]) -> None:
-        """Check that constants can be free.
-
-        Raises:
-            UnknownNameError: the law has no such constant; lists those it has.
-            InputError: no constant, one of them twice, or strength together with a constant that it
-                scales.
-        """
+        """Check that constants can be free."""
         if not names:
             raise InputError(
                 f"no constant is free: the law {self.law.name!r} has {', '.join(self.names)}"
@@ -167,9 +149,10 @@ class Material:
         if low < value < high and value != 0:
             return True
         if name in self.given:
+            accepted = f"from {low:g} on" if math.isinf(high) else f"{low:g} to {high:g}"
             raise InputError(
                 f"{name} starts at {value:g}, which is a bound of what the law {self.law.name!r} "
-                f"accepts, {_range(low, high)}: give a start inside, or none"
+                f"accepts, {accepted}: give a start inside, or none"
             )
         return False
 
@@ -217,17 +200,11 @@ class Material:
 
     def constants(self) -> dict[str, float]:
         """Return the law's constants that a medium must have: all but defaults."""
-        every = {field.name: field for field in fields(self.law)}  # pyright: ignore
-        kept = {}
-        for name in self._numbers:
-            default = every[name].default
-            value = getattr(self.law, name)
-            if default is MISSING or value != default or name in self.given:
-                kept[name] = float(value)
-        return kept
-
-
-def _range(low: float, high: float) -> str:
-    if math.isinf(high):
-        return f"from {low:g} on"
-    return f"{low:g} to {high:g}"
+        every = fields(self.law)  # pyright: ignore[reportArgumentType]
+        defaults = {field.name: field.default for field in every}
+        values = {name: float(getattr(self.law, name)) for name in self._numbers}
+        return {
+            name: value
+            for name, value in values.items()
+            if name in self.given or value != defaults[name]  # MISSING equals no value
+        }

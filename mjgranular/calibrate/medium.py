@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import MISSING, fields, replace
+from dataclasses import MISSING, asdict, fields, replace
 from pathlib import Path
 from typing import Any, get_type_hints
 
+from mjgranular._util.extras import require
 from mjgranular._util.io import place
 from mjgranular.calibrate.material import DENSITY, STRENGTH
 from mjgranular.calibrate.result import FitResult
@@ -19,13 +20,7 @@ _MEDIUM_KEYS = ("base", "name", "title", "density", "grain")
 
 
 def known_medium(
-    entry: Any,
-    law: str | Law | None,
-    path: Path,
-    *,
-    name: str | None = None,
-    title: str | None = None,
-    source: str | None = None,
+    entry: Any, law: str | Law | None, path: Path, *, source: str | None = None
 ) -> Medium:
     """Return the medium of a file of runs: constants by their names, optionally based on another.
 
@@ -34,13 +29,7 @@ def known_medium(
             and constants of the law; or the name of a medium.
         law: the law, or its name; None for that of the base.
         path: path of the file.
-        name: default name of the medium; None for that of the file.
-        title: default title.
         source: source of its constants; None for the file.
-
-    Raises:
-        InputError: a key that the law does not have, a missing key, or a value out of range.
-        UnknownNameError: no such medium or law.
     """
     where = f"{place(path)}: medium"
     if isinstance(entry, str):
@@ -53,8 +42,7 @@ def known_medium(
     if base is None and "density" not in given:
         raise InputError(f"{where} needs the bulk density [kg/m^3]: density, or a base")
     constants = {} if base is None else {k: dict(v) for k, v in base.constants.items()}
-    density = given.get("density") or (base.density if base else None)
-    grain = given.get("grain") or (base.grain if base else None)
+    density = given.get("density") or (base and base.density)
     assert density is not None
     key = _table(kind, constants)
     own = {} if base is None else _constants_of(kind, base)
@@ -71,10 +59,10 @@ def known_medium(
             )
     try:
         return Medium(
-            name=str(entry.get("name") or name or path.stem),
-            title=str(entry.get("title") or title or f"the sand of {path.name}"),
+            name=str(entry.get("name") or path.stem),
+            title=str(entry.get("title") or f"the sand of {path.name}"),
             density=density,
-            grain=grain,
+            grain=given.get("grain") or (base and base.grain),
             default_law=key,
             constants={**constants, key: own},
         )
@@ -85,11 +73,7 @@ def known_medium(
 def check_mapping(
     entry: Any, where: str, keys: Collection[str], *, needed: Iterable[str] = ()
 ) -> None:
-    """Check that an entry of a file is a mapping with known keys.
-
-    Raises:
-        InputError: it is not, has another key, or lacks one that is needed.
-    """
+    """Check that an entry of a file is a mapping with known keys."""
     known = ", ".join(keys)
     if not isinstance(entry, dict):
         raise InputError(f"{where} must be a mapping with {known}, got {shown(entry)}")
@@ -102,11 +86,7 @@ def check_mapping(
 
 
 def number(value: Any, key: str) -> float:
-    """Return a finite number from a file.
-
-    Raises:
-        InputError: it is not a finite number.
-    """
+    """Return a finite number from a file."""
     try:
         found = float(value) if isinstance(value, str) else math.nan
     except ValueError:
@@ -182,17 +162,8 @@ def _constants_of(kind: type[Law], medium: Medium) -> dict[str, Quantity]:
     }
 
 
-def fitted_medium(
-    result: FitResult, name: str, *, source: str = "", title: str | None = None
-) -> Medium:
-    """Return the fitted medium: free constants with intervals, the others unchanged.
-
-    Args:
-        result: the fit.
-        name: name of the medium.
-        source: what it was fitted to.
-        title: None for that of the initial medium.
-    """
+def fitted_medium(result: FitResult, name: str, *, source: str = "") -> Medium:
+    """Return the fitted medium: free constants with intervals, the others unchanged."""
     material, start = result.material, result.start
     before, kind = start.medium, type(material.law)
     key = _table(kind, before.constants)
@@ -208,14 +179,7 @@ def fitted_medium(
     density = before.density
     if material.medium.density.value != density.value:
         density = Quantity(material.medium.density.value, "kg/m^3", _found(result, DENSITY, source))
-    return Medium(
-        name=name,
-        title=title or before.title,
-        density=density,
-        grain=before.grain,
-        default_law=key,
-        constants={key: constants},
-    )
+    return replace(before, name=name, density=density, default_law=key, constants={key: constants})
 
 
 def _found(result: FitResult, constant: str, source: str) -> str:
@@ -238,25 +202,7 @@ def _interval(result: FitResult, name: str) -> str:
 
 def medium_text(medium: Medium) -> str:
     """Return a medium as a YAML string that `read_medium` reads."""
-    lines = [
-        f"name: {_quoted(medium.name)}",
-        f"title: {_quoted(medium.title)}",
-        f"density: {_entry(medium.density)}",
-    ]
-    if medium.grain is not None:
-        lines.append(f"grain: {_entry(medium.grain)}")
-    lines += [f"default_law: {medium.default_law}", "constants:"]
-    for law, constants in medium.constants.items():
-        lines.append(f"  {law}:")
-        lines += [f"    {name}: {_entry(quantity)}" for name, quantity in constants.items()]
-    return "\n".join(lines) + "\n"
-
-
-def _entry(quantity: Quantity) -> str:
-    unit = f", unit: {_quoted(quantity.unit)}" if quantity.unit else ""
-    return f"{{value: {quantity.value!r}{unit}, source: {_quoted(quantity.source)}}}"
-
-
-def _quoted(text: str) -> str:
-    """Return a string in YAML's single quotes."""
-    return "'" + " ".join(text.split()).replace("'", "''") + "'"
+    yaml = require("yaml", extra="fit", purpose="Writing a medium")
+    content = {name: value for name, value in asdict(medium).items() if value is not None}
+    style = {"sort_keys": False, "default_flow_style": None, "allow_unicode": True}
+    return yaml.safe_dump(content, width=10_000, **style)

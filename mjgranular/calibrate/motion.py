@@ -158,8 +158,9 @@ def compare(measured: Motion, simulated: Motion) -> Errors:
     Raises:
         InputError: only one is a drop, or a drop has no row in the sand.
     """
-    if measured.rate is not None:
-        return _compare_speeds(measured, simulated)
+    if measured.rate is not None and measured.speed is not None and simulated.speed is not None:
+        speeds = simulated.speed / measured.speed - 1
+        return Errors(trajectory=float(np.abs(speeds).mean()), speed=float(speeds.mean()))
     if measured.time is None or simulated.time is None:
         return _compare_forces(measured, simulated)
     final = measured.final_depth
@@ -196,28 +197,15 @@ def rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def _compare_speeds(measured: Motion, simulated: Motion) -> Errors:
-    assert measured.speed is not None
-    assert simulated.speed is not None
-    errors = simulated.speed / measured.speed - 1
-    return Errors(trajectory=float(np.abs(errors).mean()), speed=float(errors.mean()))
-
-
 def _compare_forces(measured: Motion, simulated: Motion) -> Errors:
     if measured.force is None or simulated.force is None:
         raise InputError("a push or drag is compared by its force: one of the two has none")
     if measured.force.shape != simulated.force.shape:
         raise InputError("a push or drag is compared row by row: the two differ in length")
-    pairs = [
-        (one, other)
-        for one, other in (
-            (measured.force, simulated.force),
-            (measured.side, simulated.side),
-            (measured.lift, simulated.lift),
-        )
-        if one is not None and other is not None
-    ]
-    forces, found = np.array(pairs).transpose(1, 0, 2)
+    names = ("force", "side", "lift")
+    pairs = [(getattr(measured, name), getattr(simulated, name)) for name in names]
+    known = [pair for pair in pairs if pair[0] is not None and pair[1] is not None]
+    forces, found = np.array(known).transpose(1, 0, 2)
     error = np.linalg.norm(found - forces, axis=0)
     if measured.angle is None:
         late = max(1, len(measured.force) // 5)

@@ -22,12 +22,6 @@ class Problem:
 
     The unknowns are the free constants, then the touch time of each drop whose record does not have
     it.
-
-    Args:
-        trials: the runs to fit.
-        material: initial material.
-        free: names of the free constants.
-        progress: called with the number of simulated runs.
     """
 
     def __init__(
@@ -35,26 +29,18 @@ class Problem:
         trials: Sequence[Trial],
         material: Material,
         free: Sequence[str],
-        progress: Callable[[int], None] | None = None,
+        progress: Callable[[int, str], None] | None = None,
     ) -> None:
         self.trials, self.material, self.free = tuple(trials), material, tuple(free)
         self.shifted = [k for k, trial in enumerate(trials) if trial.shift is not None]
         bounds = [material.bounds(name) for name in free]
         bounds += [trials[k].shift_range for k in self.shifted]
         self.low, self.high = (np.array(ends, float) for ends in zip(*bounds, strict=True))
+        self.count = len(self.free)
+        self.range = self.high - self.low  # may be infinite
         self.evaluations = 0
         self._progress = progress
         self._outcomes: dict[tuple[float, ...], list[Motion | None]] = {}
-
-    @property
-    def count(self) -> int:
-        """Number of free constants."""
-        return len(self.free)
-
-    @property
-    def range(self) -> np.ndarray:
-        """Width between the bounds of each unknown; may be infinite."""
-        return self.high - self.low
 
     def sizes(self, constants: np.ndarray) -> np.ndarray:
         """Return the size of each unknown: that of `constants`, and the range of each touch."""
@@ -90,7 +76,7 @@ class Problem:
                     found.append(None)
                 self.evaluations += 1
                 if self._progress is not None:
-                    self._progress(self.evaluations)
+                    self._progress(self.evaluations, "fitting")
             if len(self._outcomes) >= _KEPT:
                 self._outcomes.pop(next(iter(self._outcomes)))
             self._outcomes[key] = found

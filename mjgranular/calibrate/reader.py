@@ -26,6 +26,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
@@ -101,24 +102,16 @@ def read_runs(folder: str | Path) -> RunSet:
     if isinstance(entry, dict) and list(entry) == ["base"]:
         entry = str(entry["base"])
     title, source = about["title"], about["source"]
-    medium = known_medium(entry, Rft3dLaw.name, path, name=folder.name, title=title, source=source)
-
-    def run(entry: dict[str, Any], where: str, path: Path) -> MeasuredRun:
-        return _measured_run(entry, where, path, about)
-
-    return RunSet(folder.name, title, source, medium, tuple(_runs(content, path, run)))
+    if isinstance(entry, dict):
+        entry = {"name": folder.name, "title": title, **entry}
+    medium = known_medium(entry, Rft3dLaw.name, path, source=source)
+    runs = tuple(_runs(content, path, partial(_measured_run, about=about)))
+    return RunSet(folder.name, title, source, medium, runs)
 
 
 def _content(path: Path, extra: str) -> dict[str, Any]:
     """Return the content of a file of runs, its keys checked."""
-    content = read_outline_file(
-        path,
-        "the runs",
-        "runs need",
-        largest=LARGEST,
-        extra=extra,
-        purpose="Reading runs from a file",
-    )
+    content = read_outline_file(path, "the runs", largest=LARGEST, extra=extra)
     where = place(path)
     check_mapping(content, where, ("medium", "runs"), needed=("runs",))
     if not isinstance(content["runs"], list) or not content["runs"]:
@@ -139,8 +132,6 @@ def _runs(
                 raise InputError(f"{where}.{key} must be a string, got {shown(entry[key])}")
         try:
             found.append(make(entry, where, path))
-        except UnknownNameError:
-            raise
         except InputError as error:
             data = path.parent / entry["data"]
             if place(path) in str(error) or place(data) in str(error):
@@ -152,7 +143,7 @@ def _runs(
 def _run(entry: dict[str, Any], where: str, path: Path) -> Run | MeasuredRun:
     """Return a run to fit to: a `MeasuredRun` where the body is in a file, but for a model."""
     if isinstance(entry.get("body"), dict) and "file" in entry["body"]:
-        return _measured_run(entry, where, path, _ABOUT)
+        return _measured_run(entry, where, path, about=_ABOUT)
     values: dict[str, Any] = _numbers(entry, where)
     values |= {key: entry[key] for key in _NAMES if entry.get(key) is not None}
     if "height" in values:
@@ -176,7 +167,7 @@ def _run(entry: dict[str, Any], where: str, path: Path) -> Run | MeasuredRun:
 
 
 def _measured_run(
-    entry: dict[str, Any], where: str, path: Path, about: dict[str, Any]
+    entry: dict[str, Any], where: str, path: Path, *, about: dict[str, Any]
 ) -> MeasuredRun:
     """Return a run to score laws against."""
     name, kind = entry["name"], entry["kind"]
@@ -204,10 +195,9 @@ def _measured_run(
     )
 
 
-def _numbers(entry: dict[str, Any], where: str) -> dict[str, float]:
-    return {
-        key: number(entry[key], f"{where}.{key}") for key in _NUMBERS if entry.get(key) is not None
-    }
+def _numbers(entry: dict[str, Any], where: str, keys: Sequence[str] = _NUMBERS) -> dict[str, float]:
+    given = [key for key in keys if entry.get(key) is not None]
+    return {key: number(entry[key], f"{where}.{key}") for key in given}
 
 
 def _columns(entry: dict[str, Any], where: str) -> dict[str, str]:
@@ -229,15 +219,9 @@ def _body_or_file(entry: Any, kind: str, where: str, path: Path) -> Projectile |
 
 def _body(entry: Any, where: str) -> Body:
     check_mapping(entry, where, _BODY_KEYS, needed=("shape", "diameter"))
-    sizes = {
-        key: number(entry[key], f"{where}.{key}")
-        for key in _BODY_KEYS[1:]
-        if entry.get(key) is not None
-    }
+    sizes = _numbers(entry, where, _BODY_KEYS[1:])
     try:
         return Body(entry["shape"], **sizes)
-    except UnknownNameError:
-        raise
     except InputError as error:
         raise InputError(f"{where}: {error}") from None
 

@@ -105,19 +105,16 @@ class FitResult:
 
     def summary(self) -> dict[str, Any]:
         """Return the result in plain numbers, SI units."""
+        plain = ("values", "correlations", "identifiable", "residual", "evaluations")
         return {
             "law": self.material.law.name,
             "medium": self.material.medium.name,
-            "values": dict(self.values),
+            **{name: getattr(self, name) for name in plain},
             "intervals": {name: list(ends) for name, ends in self.intervals.items()},
-            "correlations": {name: dict(row) for name, row in self.correlations.items()},
-            "identifiable": dict(self.identifiable),
             "at_bound": list(self.at_bound),
             "valleys": [asdict(direction) for direction in self.valleys],
             "further_tests": [asdict(test) for test in self.further],
             "runs": {name: asdict(errors) for name, errors in self.runs.items()},
             "held_out": {name: asdict(errors) for name, errors in self.held_out.items()},
-            "residual": self.residual,
-            "evaluations": self.evaluations,
             "constants": self.material.constants(),
         }

@@ -308,11 +308,6 @@ class MeasuredRun:
         return _plain(self, motion=None)
 
     @property
-    def to_the_stop(self) -> bool:
-        """Whether the record ends where the lowest point stops, not where the body is at rest."""
-        return self.motion.to_the_stop
-
-    @property
     def shape(self) -> str:
         """Shape of the body, or the name of its MJCF file."""
         return self.body.name if isinstance(self.body, Path) else self.body.shape
@@ -357,11 +352,7 @@ class RunSet:
     runs: tuple[MeasuredRun, ...] = field(repr=False)
 
     def __getitem__(self, name: str) -> MeasuredRun:
-        """Return the run of a name.
-
-        Raises:
-            UnknownNameError: no such run; lists the runs.
-        """
+        """Return the run of a name."""
         for run in self.runs:
             if run.name == name:
                 return run
@@ -380,11 +371,7 @@ def _plain(run: Run | MeasuredRun, **changes: Any) -> dict[str, Any]:
 
 
 def load_machine(file: Path) -> mujoco.MjSpec:
-    """Load a body from its MJCF file.
-
-    Raises:
-        InputError: MuJoCo cannot read it.
-    """
+    """Load a body from its MJCF file."""
     try:
         return mujoco.MjSpec.from_file(str(file))
     except ValueError as error:

@@ -25,6 +25,7 @@ TIMESTEP = 5e-5
 """Time step of simulated drops [s]: halving it changes final depths by less than 0.3 %."""
 
 _SAMPLES = 1e-4  # time between two samples [s]
+_LONGER = 0.1  # time after the end of the run within which the body may stop [s]
 _HEAVY = 1e6  # inertia of a body that keeps its angle [kg m^2]; chosen
 _HEAVY_BODY = 1e4  # mass or inertia of a body that keeps its speed [kg, kg m^2]; chosen
 _SETTLES = 0.01  # sinking speed of a wheel of given sinkage, in parts of its speed; chosen
@@ -38,8 +39,6 @@ def simulate(
     law: Law | str | None = None,
     *,
     timestep: float = TIMESTEP,
-    scheme: str = "implicit",
-    longer: float = 0.1,
 ) -> Motion:
     """Simulate a measured run with a law.
 
@@ -52,8 +51,6 @@ def simulate(
         medium: the sand.
         law: its law; None for the medium's default.
         timestep: time step of a drop [s].
-        scheme: time stepping scheme of a drop.
-        longer: time after the end of the run within which the body may stop [s].
 
     Raises:
         InputError: the law has no elements for such a body.
@@ -61,36 +58,26 @@ def simulate(
     """
     material = Material.of(get_medium(medium), law)
     way = way_of(run, material.law)
-    simulator = simulator_of(run, way, scheme=scheme, timestep=timestep)
+    simulator = simulator_of(run, way, timestep=timestep)
     simulator.use(material)
-    return _drop(run, simulator, longer) if way == "drop" else MOVES[way](run, simulator)
+    return MOVES[way](run, simulator)
 
 
 def way_of(run: MeasuredRun, law: Law) -> str:
-    """Return how a run is simulated: "drop", or a key of `MOVES`."""
+    """Return how a run is simulated, a key of `MOVES`."""
     if run.kind == "intrude" and law.adds_mass:
         return "push"
     return run.kind if run.kind in ("drop", "sink", "walk") else "place"
 
 
-def simulator_of(
-    run: MeasuredRun, way: str, *, scheme: str = "implicit", timestep: float = TIMESTEP
-) -> Simulator:
-    """Return a simulator for a measured run, of a way of `way_of`.
-
-    Args:
-        run: the run.
-        way: "drop", or a key of `MOVES`.
-        scheme: time stepping scheme of a drop.
-        timestep: time step of a drop or push [s].
-    """
+def simulator_of(run: MeasuredRun, way: str, *, timestep: float = TIMESTEP) -> Simulator:
+    """Return a simulator for a measured run, of a way of `way_of`."""
     spec = load_machine(run.body) if isinstance(run.body, Path) else run.body.spec()
     hinges = [joint for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_HINGE]
     chosen: Scheme | str = "implicit"
     if way in ("drop", "push"):
         spec.option.timestep = timestep
     if way == "drop":
-        chosen = scheme
         for joint in hinges if run.guided else ():
             joint.armature = _HEAVY
     elif way == "push":
@@ -111,7 +98,7 @@ def simulator_of(
     return Simulator(spec.compile(), chosen, bodies)
 
 
-def _drop(run: MeasuredRun, simulator: Simulator, longer: float) -> Motion:
+def _drop(run: MeasuredRun, simulator: Simulator) -> Motion:
     time, depth = run.motion.time, run.motion.depth
     assert time is not None
     body, q = _projectile(run), math.radians(run.angle)
@@ -125,7 +112,7 @@ def _drop(run: MeasuredRun, simulator: Simulator, longer: float) -> Motion:
     last = time[-1] - time[0]
     rows = [(0.0, *_sample(body, simulator.data))]
     fastest = run.speed
-    for step in range(1, math.ceil((last + longer) / timestep) + 1):
+    for step in range(1, math.ceil((last + _LONGER) / timestep) + 1):
         simulator.step()
         if step % every == 0:
             rows.append((step * timestep, *_sample(body, simulator.data)))
@@ -133,7 +120,7 @@ def _drop(run: MeasuredRun, simulator: Simulator, longer: float) -> Motion:
             if step * timestep > last and rows[-1][2] < 0.005 * fastest:
                 break
     found = np.array(rows)
-    if run.to_the_stop:
+    if run.motion.to_the_stop:
         found = found[: int(np.argmax(found[:, 1])) + 1]
     t, deepest, speed, pitch = found.T
     # Mean force since the previous row, from momentum.
@@ -145,7 +132,7 @@ def _drop(run: MeasuredRun, simulator: Simulator, longer: float) -> Motion:
         speed=speed,
         force=force,
         pitch=None if body.shape == "sphere" else pitch,
-        to_the_stop=run.to_the_stop,
+        to_the_stop=run.motion.to_the_stop,
     )
 
 
@@ -189,11 +176,19 @@ def _push(run: MeasuredRun, simulator: Simulator) -> Motion:
 
 def place(run: MeasuredRun, simulator: Simulator) -> Motion:
     """Return the forces on a body at the pose and velocity of each row."""
-    rows = _rows(run)
-    set_row = _set_machine if isinstance(run.body, Path) else _set_body
+    model, data, rows = simulator.model, simulator.data, _rows(run)
+    pose = model.qpos0
+    if not isinstance(run.body, Path):
+        pose = _projectile(run).touching(math.radians(run.angle))
     forces = []
     for row in rows:
-        set_row(run, simulator, row)
+        data.qpos[:], data.qvel[:] = pose, 0.0
+        if run.kind == "turn":
+            data.joint("turn").qpos = row["angle"]
+        else:
+            data.joint("z").qpos[0] -= row["depth"]
+        for name, value in _velocity(run.kind, row).items():
+            data.joint(name).qvel = value
         forces.append(simulator.force())
     x, y, z = np.array(forces).T
     if run.kind == "intrude":
@@ -201,24 +196,6 @@ def place(run: MeasuredRun, simulator: Simulator) -> Motion:
         return Motion(depth=run.motion.depth, speed=speed, force=z)
     side = None if run.motion.side is None else -y
     return replace(run.motion, force=x if run.kind == "turn" else -x, side=side, lift=z)
-
-
-def _set_body(run: MeasuredRun, simulator: Simulator, row: dict[str, float]) -> None:
-    data, along = simulator.data, run.kind == "drag"
-    data.qpos[:] = _projectile(run).touching(math.radians(run.angle))
-    data.qpos[1] -= row["depth"]
-    data.qvel[:] = (row["speed"], 0.0, 0.0) if along else (0.0, -row["speed"], 0.0)
-
-
-def _set_machine(run: MeasuredRun, simulator: Simulator, row: dict[str, float]) -> None:
-    data = simulator.data
-    data.qpos[:], data.qvel[:] = simulator.model.qpos0, 0.0
-    if run.kind == "turn":
-        data.joint("turn").qpos = row["angle"]
-    else:
-        data.joint("z").qpos = -row["depth"]
-    for name, value in _velocity(run.kind, row).items():
-        data.joint(name).qvel = value
 
 
 def _sink(run: MeasuredRun, simulator: Simulator) -> Motion:
@@ -266,12 +243,13 @@ def _walk(run: MeasuredRun, simulator: Simulator) -> Motion:
 
 
 MOVES: dict[str, Callable[[MeasuredRun, Simulator], Motion]] = {
+    "drop": _drop,
     "push": _push,
     "place": place,
     "sink": _sink,
     "walk": _walk,
 }
-"""How runs other than drops are simulated."""
+"""How runs are simulated."""
 
 
 def _projectile(run: MeasuredRun) -> Projectile:
@@ -292,8 +270,8 @@ def _rows(run: MeasuredRun) -> list[dict[str, float]]:
 
 def _velocity(kind: str, row: dict[str, float]) -> dict[str, float]:
     """Return the joint velocities of a body with prescribed motion."""
-    if kind == "turn":
-        return {"turn": row["speed"]}
+    if kind in ("turn", "intrude"):
+        return {"turn": row["speed"]} if kind == "turn" else {"z": -row["speed"]}
     found = {"x": row["speed"] * math.cos(row["angle"])}
     if "spin" in row:
         found |= {"y": row["speed"] * math.sin(row["angle"]), "turn": row["spin"]}

@@ -55,11 +55,7 @@ class Simulator:
         self._harmless: set[frozenset[str]] = set()  # constants that elements do not depend on
 
     def use(self, material: Material) -> None:
-        """Change the material of the sand.
-
-        Raises:
-            InputError: the law has no elements for the body.
-        """
+        """Change the material of the sand."""
         before = self._material
         if before is None or type(before.law) is not type(material.law):
             self._bind(self._prepare(material), material)
@@ -67,15 +63,13 @@ class Simulator:
         now = self._prepared
         same_kernel = material.law.kernel(now.surface) is now.kernel
         changed = _changed(before, material)
-        if same_kernel and changed in self._harmless:
-            now.scene["law"][:] = material.law.parameters(material.medium)
-            return
-        prepared = self._prepare(material)
-        if same_kernel and np.array_equal(prepared.elements, now.elements):
+        if not (same_kernel and changed in self._harmless):
+            prepared = self._prepare(material)
+            if not (same_kernel and np.array_equal(prepared.elements, now.elements)):
+                self._bind(prepared, material)
+                return
             self._harmless.add(changed)
-            now.scene["law"][:] = prepared.scene["law"]
-            return
-        self._bind(prepared, material)
+        now.scene["law"][:] = material.law.parameters(material.medium)
 
     def _prepare(self, material: Material) -> PreparedSand:
         spec = SandSpec(
@@ -112,11 +106,7 @@ class Simulator:
         return UnstableError(f"the simulation diverged at t = {self.data.time:.4g} s with {law}")
 
     def step(self) -> None:
-        """Advance `data` by one time step.
-
-        Raises:
-            UnstableError: the state diverged.
-        """
+        """Advance `data` by one time step."""
         mujoco.mj_step1(self.model, self.data)
         self._act(self._prepared.scheme.lead * self.model.opt.timestep)
         mujoco.mj_step2(self.model, self.data)
@@ -137,9 +127,6 @@ class Simulator:
             steps: number of time steps.
             look: returns a value or an array, which is copied.
             until_rest: whether to stop at rest, and repeat the last row from there on.
-
-        Raises:
-            UnstableError: the state diverged.
         """
         first = np.asarray(look())
         rows = np.empty((steps, *first.shape))

@@ -16,36 +16,23 @@ from mjgranular.errors import InputError, UnknownNameError, listed, shown
 LARGEST = 50_000_000
 """Size up to which a table is read [bytes]; chosen."""
 
-_NAMES = {
-    "time": ("time", "t"),
-    "depth": ("depth",),
-    "force": ("force", "f", "resistance"),
-    "pitch": ("pitch", "angle"),
-    "speed": ("speed", "velocity", "v"),
-    "lift": ("lift",),
-    "side": ("side force", "side"),
-    "angle": ("angle",),
-    "spin": ("spin",),
-    "rate": ("rate",),
-}
-"""Headings of each column, in lower case and without units."""
-
 _TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
 _LENGTHS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2}
 _FORCES = {"n": 1.0, "mn": 1e-3, "kn": 1e3}
 _ANGLES = {"deg": 1.0, "degrees": 1.0, "rad": 180.0 / np.pi}
-_UNITS: dict[str, dict[str, float]] = {
-    "time": _TIMES,
-    "depth": _LENGTHS,
-    "force": _FORCES,
-    "pitch": _ANGLES,
-    "speed": {"m/s": 1.0, "mm/s": 1e-3, "cm/s": 1e-2},
-    "lift": _FORCES,
-    "side": _FORCES,
-    "angle": _ANGLES,
-    "spin": {"rad/s": 1.0},
-    "rate": {"hz": 1.0},
+_COLUMNS: dict[str, tuple[tuple[str, ...], dict[str, float]]] = {
+    "time": (("time", "t"), _TIMES),
+    "depth": (("depth",), _LENGTHS),
+    "force": (("force", "f", "resistance"), _FORCES),
+    "pitch": (("pitch", "angle"), _ANGLES),
+    "speed": (("speed", "velocity", "v"), {"m/s": 1.0, "mm/s": 1e-3, "cm/s": 1e-2}),
+    "lift": (("lift",), _FORCES),
+    "side": (("side force", "side"), _FORCES),
+    "angle": (("angle",), _ANGLES),
+    "spin": (("spin",), {"rad/s": 1.0}),
+    "rate": (("rate",), {"hz": 1.0}),
 }
+"""Headings of each column, and factors of its units, in lower case."""
 
 
 def read_table(
@@ -58,12 +45,6 @@ def read_table(
 
     A heading is a name with its unit, `depth [mm]`, `depth (mm)` or `depth_mm`; without one it is
     SI. Other columns are ignored, as are lines that start with `#`.
-
-    Args:
-        path: path of the file.
-        needed: names of required columns.
-        optional: names of optional columns.
-        columns: headings in the file of columns with other names, by column name.
 
     Raises:
         InputError: the file cannot be read, a column is missing or there twice, or a cell is not a
@@ -87,7 +68,7 @@ def read_table(
     if not rows:
         raise InputError(f"{name} is empty: a table has a line of headings and rows of numbers")
     headings = [cell.strip() for cell in rows[0][1]]
-    if all(_is_number(cell) for cell in headings):
+    if None not in map(_parsed, headings):
         raise InputError(
             f"{name} begins with numbers: its first line has to name the columns, such as "
             "time,depth"
@@ -113,18 +94,15 @@ def read_table(
 
 def _find(headings: list[str], column: str, called: str | None, name: str) -> int | None:
     """Return the index of a column; None if it is missing."""
-    if called is not None:
-        if called not in headings:
-            raise InputError(f"{name} has no column {shown(called)}: it has {listed(headings)}")
-        plain, heading = headings, called
-    else:
-        plain = [_split(heading, column)[0] for heading in headings]
-        heading = next((known for known in _NAMES[column] if known in plain), None)
-        if heading is None:
-            return None
-    if plain.count(heading) > 1:
-        raise InputError(f"{name} has {plain.count(heading)} columns {shown(heading)}: keep one")
-    return plain.index(heading)
+    if called is not None and called not in headings:
+        raise InputError(f"{name} has no column {shown(called)}: it has {listed(headings)}")
+    plain = headings if called else [_split(heading, column)[0] for heading in headings]
+    chosen = called or next((known for known in _COLUMNS[column][0] if known in plain), None)
+    if chosen is None:
+        return None
+    if plain.count(chosen) > 1:
+        raise InputError(f"{name} has {plain.count(chosen)} columns {shown(chosen)}: rename one")
+    return plain.index(chosen)
 
 
 def _split(heading: str, column: str) -> tuple[str, str | None]:
@@ -134,33 +112,31 @@ def _split(heading: str, column: str) -> tuple[str, str | None]:
     if bracket:
         return bracket[1].strip(), bracket[2]
     stem, _, tail = text.rpartition("_")
-    if stem and tail in _UNITS[column]:
+    if stem and tail in _COLUMNS[column][1]:
         return stem, tail
     return text, None
 
 
 def _factor(heading: str, column: str, name: str) -> float:
-    unit = _split(heading, column)[1]
-    if unit is None:
-        return 1.0
-    if unit not in _UNITS[column]:
+    unit, units = _split(heading, column)[1], _COLUMNS[column][1]
+    if unit is not None and unit not in units:
         raise InputError(
             f"{name}: the column {shown(heading)} has the unit {shown(unit)}; for {column} there "
-            f"are: {', '.join(_UNITS[column])}"
+            f"are: {', '.join(units)}"
         )
-    return _UNITS[column][unit]
+    return 1.0 if unit is None else units[unit]
 
 
 def _number(row: list[str], index: int, line: int, name: str) -> float:
     cell = row[index].strip() if index < len(row) else ""
-    if not _is_number(cell) or not np.isfinite(float(cell)):
+    number = _parsed(cell)
+    if number is None or not np.isfinite(number):
         raise InputError(f"{name}, line {line}: {shown(cell)} is not a finite number")
-    return float(cell)
+    return number
 
 
-def _is_number(cell: str) -> bool:
+def _parsed(cell: str) -> float | None:
     try:
-        float(cell)
+        return float(cell)
     except ValueError:
-        return False
-    return True
+        return None

@@ -139,11 +139,7 @@ class RowsTrial(Trial):
 
 
 class PushTrial(Trial):
-    """A body pushed straight down, or dragged along: force against depth or speed.
-
-    Raises:
-        InputError: no contact, or implausible units.
-    """
+    """A body pushed straight down, or dragged along: force against depth or speed."""
 
     def __init__(self, run: Run) -> None:
         self.run = run

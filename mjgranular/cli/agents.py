@@ -85,22 +85,13 @@ def find_actor(
 
 
 def warn_of_sand(actor: Actor, now: Sands | None) -> None:
-    """Warn if a policy is not on the sand on which it was trained, and the user has not asked so.
-
-    Args:
-        actor: the agent.
-        now: the sand of its environment without changes; None if unknown.
-    """
+    """Warn if a policy is not on the sand on which it was trained, unless the user asked so."""
     if isinstance(actor.agent, Policy) and actor.environment == actor.agent.run.environment:
         actor.agent.run.warn_of_sand(now)
 
 
 def is_environment(what: str) -> bool:
-    """Return True if a word is the id of an environment, and not a folder.
-
-    Raises:
-        GranularError: the module before a colon cannot be imported, or registers no such id.
-    """
+    """Return True if a word is the id of an environment, and not a folder."""
     if Path(what).exists():
         return False
     try:

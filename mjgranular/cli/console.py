@@ -49,14 +49,7 @@ def print_json(content: Any) -> None:
 def table(
     title: str, headings: Sequence[str], rows: Iterable[Iterable[str]], *, words: int = 1
 ) -> Table:
-    """Make a table.
-
-    Args:
-        title: line above the table.
-        headings: headings of the columns.
-        rows: a cell for each column.
-        words: number of columns with words, which are aligned left; the others hold numbers.
-    """
+    """Make a table."""
     made = Table(title=title, title_justify="left")
     for number, heading in enumerate(headings):
         made.add_column(

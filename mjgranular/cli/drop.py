@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import tyro
 
 from mjgranular._util.result_folder import ResultFolder
 from mjgranular.cli.console import note, out, print_json, progress_bar, table
 from mjgranular.cli.options import options_of, record_of
-from mjgranular.cli.results import FilmOptions, Frames, collected, write_film
-from mjgranular.errors import GranularError, GranularWarning, OutputError
-from mjgranular.experiment.drop import Drop, DropResult, load, memory_of, run_drop
+from mjgranular.cli.results import FilmOptions, collected, write_film
+from mjgranular.errors import GranularError
+from mjgranular.experiment.drop import Drop, DropResult, load, run_drop
 from mjgranular.experiment.folder import RUN_FILES, write_drop
-from mjgranular.render import Tracks
-
-if TYPE_CHECKING:
-    from mjgranular.picture.video import Film, Motion
 
 FIGURE = "drop.png"
 FILM = "drop.mp4"
@@ -41,7 +36,7 @@ class DropCommand(FilmOptions, options_of(Drop, without=("model",))):
         """Run the command."""
         self.check_film()
         drop, camera = self.experiment(), self.camera or "free"
-        if self.video:
+        if self.video and self.camera is not None:
             from mjgranular.picture.video import check_camera
 
             check_camera(load(drop)[0], camera)
@@ -78,31 +73,11 @@ def _draw(folder: ResultFolder, result: DropResult) -> None:
 
 
 def _film(folder: ResultFolder, result: DropResult, camera: str) -> None:
-    from mjgranular.picture.video import Film, Motion
+    from mjgranular.picture.video import Film, Motion, frames_of_drop
 
     film = Film(camera=camera, seconds=1.0)
     motion = Motion(result.t, result.qpos, result.point, result.force)
-    write_film(folder, FILM, film, frames_of(film, result.drop, motion, result.prints))
-
-
-def frames_of(film: Film, drop: Drop, motion: Motion, prints: Tracks | None) -> Frames:
-    """Return a function that renders the frames of a run.
-
-    Raises:
-        OutputError: the samples are not of the model.
-    """
-    from mjgranular.picture.video import frames_of_model
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", GranularWarning)  # the run has shown them
-        model, _ = load(drop)
-    if motion.qpos.shape[1] != model.nq:
-        raise OutputError(
-            f"the samples have {motion.qpos.shape[1]} positions, {drop.title} has {model.nq}: it "
-            "is not the model that ran"
-        )
-    memory = memory_of(drop, model)
-    return lambda: frames_of_model(film, model, motion, drop.surface, prints, memory)
+    write_film(folder, FILM, film, lambda: frames_of_drop(film, result.drop, motion, result.prints))
 
 
 def _show(result: DropResult) -> None:

@@ -120,17 +120,15 @@ def _title(summary: dict[str, Any]) -> str:
 
 def _draw(folder: ResultFolder, result: ImpactResult, film: Film | None) -> list[GranularError]:
     """Draw the figures of a drop and its film; return what could not be drawn."""
-    from mjgranular.picture.figures import draw_forces, draw_prints
+    from mjgranular.picture.figures import draw_forces, draw_motion, draw_prints
 
     problems: list[GranularError] = []
     impact, summary, prints = result.impact, result.summary(), result.prints
-    motion, forces = FIGURES
     stop, above = release_to_stop(summary), _title(summary)
     with collected(problems):
-        _draw_motion(folder, motion, result.trajectory, summary)
-        folder.write(
-            forces, lambda path: draw_forces(path, result.trajectory, stop=stop, title=above)
-        )
+        options = {"stop": stop, "title": above}
+        for name, draw in zip(FIGURES, (draw_motion, draw_forces), strict=True):
+            folder.write(name, lambda path, draw=draw: draw(path, result.trajectory, **options))
     if prints is not None:
         memory = as_memory(fitted(impact.link.model(impact.timestep), impact.described).memory)
         assert memory is not None
@@ -141,15 +139,6 @@ def _draw(folder: ResultFolder, result: ImpactResult, film: Film | None) -> list
         with collected(problems):
             film_impact(folder, VIDEO, impact, result.trajectory, summary, film, prints)
     return problems
-
-
-def _draw_motion(
-    folder: ResultFolder, name: str, trajectory: Trajectory, summary: dict[str, Any]
-) -> None:
-    from mjgranular.picture.figures import draw_motion
-
-    stop = release_to_stop(summary)
-    folder.write(name, lambda path: draw_motion(path, trajectory, stop=stop, title=_title(summary)))
 
 
 def film_impact(

@@ -84,6 +84,8 @@ def _main(given: Sequence[str]) -> int:
     try:
         with warnings.catch_warnings(), stopped_by_signals():
             warnings.simplefilter("always", GranularWarning)
+            if not isinstance(command, TrainCommand):  # only a policy reads sensors
+                warnings.filterwarnings("ignore", "touch sensor", GranularWarning)
             warnings.showwarning = partial(show_warning, translate=partial(in_options, command))
             return command.run()
     except GranularError as error:

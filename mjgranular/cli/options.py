@@ -35,14 +35,7 @@ _EXACT = 2**53  # up to which a float holds integers exactly
 def parse_command(
     commands: Mapping[str, Any], arguments: Sequence[str], *, program: str, description: str = ""
 ) -> Any:
-    """Return the command that the arguments name, a dataclass.
-
-    Args:
-        commands: the dataclasses by the names of the commands.
-        arguments: the name of one and its options.
-        program: what is typed before them, for help texts.
-        description: of the program.
-    """
+    """Return the command that the arguments name, a dataclass."""
     registry = ConstructorRegistry()
     registry.primitive_rule(_number_rule)
     return tyro.extras.subcommand_cli_from_dict(
@@ -157,13 +150,7 @@ def _annotated(hint: Any, text: str) -> Any:
 
 
 def record_of(kind: type[T], command: object, **others: Any) -> T:
-    """Make a dataclass of an experiment from the options of a command with the same names.
-
-    Args:
-        kind: the dataclass.
-        command: the command.
-        **others: fields that are not options, or differ from them.
-    """
+    """Make a dataclass of an experiment from the options of a command with the same names."""
     names = [each.name for each in fields(kind)]  # pyright: ignore[reportArgumentType]
     given = {name: getattr(command, name) for name in names if hasattr(command, name)}
     if "law" in given:
@@ -210,12 +197,7 @@ def in_options(command: object, text: str) -> str:
 
 
 def law_named(text: str | None) -> str | None:
-    """Return a registered law; import the module of a custom one, `my_laws:Drag k=2`.
-
-    Raises:
-        UnknownNameError: no such module, or no such law in it.
-        InputError: the module cannot be imported.
-    """
+    """Return a registered law; import the module of a custom one, `my_laws:Drag k=2`."""
     named, _, options = (text or "").strip().partition(" ")
     module, colon, name = named.partition(":")
     if not colon:

@@ -118,11 +118,11 @@ class RenderCommand:
         )
 
     def _model(self, film: Film) -> Draw:
-        from mjgranular.picture.video import Motion
+        from mjgranular.picture.video import Motion, frames_of_drop
 
         experiment, arrays = read_drop(self.run_folder)
         motion = Motion(**{key: arrays[key] for key in ("t", "qpos", "point", "force")})
-        frames = drop.frames_of(film, experiment, motion, prints_of(arrays))()
+        frames = frames_of_drop(film, experiment, motion, prints_of(arrays))
         return lambda folder, name: write_film(folder, name, film, lambda: frames)
 
     def _policy(self, film: Film) -> Draw:

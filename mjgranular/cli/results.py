@@ -40,14 +40,7 @@ class OutputOptions:
 
     @contextmanager
     def claimed(self, *names: str) -> Iterator[ResultFolder | None]:
-        """Claim the folder of `--out`; yield None without one.
-
-        Args:
-            *names: names of all files that the result may have.
-
-        Raises:
-            OutputError: the folder holds a result already, or it cannot be written to.
-        """
+        """Claim the folder of `--out`; yield None without one."""
         if self.out is None:
             yield None
             return

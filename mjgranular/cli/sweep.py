@@ -94,15 +94,7 @@ class SweepCommand(OutputOptions):
 
     @contextmanager
     def _resumable(self, journal: Journal, *names: str) -> Iterator[ResultFolder | None]:
-        """Claim the folder of `--out`, and open the journal of what is finished in it.
-
-        Args:
-            journal: journal of that folder.
-            names: names of all files that a result may have.
-
-        Raises:
-            OutputError: the folder holds something else.
-        """
+        """Claim the folder of `--out`, and open the journal of what is finished in it."""
         with closing(journal):
             if self.out is None:
                 journal.begin()
@@ -131,7 +123,7 @@ class SweepCommand(OutputOptions):
             "failed": result.failed,
             "lost": result.lost,
             "interrupted": result.interrupted,
-            "failures": [result.told(failure) for failure in result.failures],
+            "failures": [result.describe(failure) for failure in result.failures],
         }
         with folder.published(keep=(UNFINISHED,) if unfinished else ()):
             folder.write_config("sweep", {**study.config(), "interrupted": result.interrupted})
@@ -145,7 +137,7 @@ class SweepCommand(OutputOptions):
     def _status(self, result: StudyResult) -> int:
         """Print failures; return the exit status."""
         for failure in result.failures[:_FAILURES_SHOWN]:
-            show_error(result.told(failure))
+            show_error(result.describe(failure))
         if result.failed > _FAILURES_SHOWN:
             where = f"; {SUMMARY} lists them" if self.out else ""
             show_error(f"and {result.failed - _FAILURES_SHOWN} more have no result{where}")
@@ -220,9 +212,6 @@ def read_vary(words: Sequence[str]) -> dict[str, Sequence[Value] | Between]:
     """Read fields and their values from `speed=1:10:19 angle=30,45 law.eta_v=18:26`.
 
     `FIRST:LAST:COUNT` is evenly spaced, both ends included; `LOW:HIGH` a range to draw from.
-
-    Raises:
-        InputError: not of this form.
     """
     found: dict[str, Sequence[Value] | Between] = {}
     for word in words:
@@ -271,16 +260,7 @@ def _value(name: str, text: str) -> Value:
 
 
 def read_experiment(text: str, varied: Iterable[str] = ()) -> Experiment:
-    """Read the experiment of a command, such as "drop block.xml --slope 15".
-
-    Args:
-        text: the command.
-        varied: names of the varied fields.
-
-    Raises:
-        UnknownNameError: the command does not run an experiment.
-        InputError: it has options of the output or of varied fields, or its body is a chain.
-    """
+    """Read the experiment of a command, such as "drop block.xml --slope 15"."""
     words = split_words(text)
     if not words or words[0] not in _COMMANDS:
         raise UnknownNameError("experiment to sweep", (words or [""])[0], _COMMANDS)

@@ -60,12 +60,7 @@ class ViewCommand(options_of(Drop, without=_NOT_OPTIONS)):
         return 0
 
     def load(self) -> mujoco.MjModel:
-        """Return the model with sand in it, in daylight.
-
-        Raises:
-            InputError: MuJoCo cannot load it, the sand does not fit it, or its own ground
-                carries it.
-        """
+        """Return the model with sand in it, in daylight."""
         drop = record_of(Drop, self, duration=1.0)  # not used
         with loading(drop.title), warnings.catch_warnings():
             spec = read(drop)

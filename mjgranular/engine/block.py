@@ -117,18 +117,7 @@ def make_image(
     drawing: dict[str, Any],
     canvas: Sequence[np.ndarray] = (),
 ) -> Image:
-    """Make the image of a block.
-
-    Args:
-        model: the model of the sand.
-        data: any `MjData` of it.
-        instance: index of the plugin instance; its state is the sand's memory.
-        sand: the sand prepared for it.
-        tunings: what the sand's state changes (`engine.tuning`).
-        drawing: fields of the header that say what is drawn, and how.
-        canvas: for tracks: their record (`render.track_kernel`), and arrays for blocks and
-            rectangles.
-    """
+    """Make the image of a block."""
     slots, geoms = (sand.elements[key].astype(np.int64) for key in ("slot", "geom"))
     texts = refusals(sand.scheme)
     shape = sand.surface.shape(model)

@@ -57,11 +57,7 @@ class Config:
 
 
 def read_config(texts: Mapping[str, str]) -> Config:
-    """Parse the strings of an instance by key; an empty string counts as missing.
-
-    Raises:
-        InputError: a string cannot be parsed; names the key and what would be valid.
-    """
+    """Parse the strings of an instance by key; an empty string counts as missing."""
     given = {key: text for key, text in texts.items() if text}
     for key, text in given.items():
         if len(text) > LONGEST:
@@ -102,11 +98,7 @@ def read_config(texts: Mapping[str, str]) -> Config:
 def write_config(
     sand: SandSpec, *, draw: Sequence[str] | str = (), tunable: bool = False
 ) -> dict[str, str]:
-    """Return the strings, by key, that `read_config` parses as this sand (`Config`).
-
-    Raises:
-        InputError: an object has no name to be written by, or nothing is selected.
-    """
+    """Return the strings, by key, that `read_config` parses as this sand (`Config`)."""
     writers = {
         "medium": _write_medium,
         "law": lambda law: _write_part(law, laws, "law", "register_law"),
@@ -118,7 +110,7 @@ def write_config(
         "resolution": str,
         "instead_of": lambda geoms: _write_words(names_in(geoms)),
         "memory": _write_memory,
-        "draw": _write_words,
+        "draw": lambda draw: _write_words(split_words(draw) if isinstance(draw, str) else draw),
         "tunable": lambda _: "true",
     }
     texts = {}

@@ -79,14 +79,7 @@ class HandleTable:
         self._free_rows(self._of(data))
 
     def put(self, data: int, instance: int, block: np.ndarray, *shared: Any) -> None:
-        """Assign a block to an instance in an `mjData` that has none.
-
-        Args:
-            data: its address.
-            instance: index of the plugin instance.
-            block: words.
-            shared: objects that must live as long as the block.
-        """
+        """Assign a block to an instance in an `mjData` that has none."""
         number = self._find_free()
         self._held[number] = (block, *shared)
         row = self._rows[number : number + 1]

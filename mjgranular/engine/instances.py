@@ -68,11 +68,7 @@ def sands_in(model: mujoco.MjModel) -> tuple[str, ...]:
 
 
 def instance_of(model: mujoco.MjModel, name: str) -> int:
-    """Return the index of the instance of sand of that name.
-
-    Raises:
-        UnknownNameError: the model has no such sand; lists those it has.
-    """
+    """Return the index of the instance of sand of that name."""
     names = sands_in(model)
     if name not in names:
         raise UnknownNameError("sand of the model", name, names)
@@ -81,11 +77,7 @@ def instance_of(model: mujoco.MjModel, name: str) -> int:
 
 
 def bodies_of_sands(model: mujoco.MjModel) -> Iterator[tuple[str, set[int]]]:
-    """Yield the names of a model's instances of sand, and the ids of the bodies that each acts on.
-
-    Raises:
-        InputError: the configuration of one cannot be parsed, or does not fit the model.
-    """
+    """Yield the name of each instance of sand, and the ids of the bodies that it acts on."""
     for name in sands_in(model):
         geoms = geoms_in_sand(model, _spec_of(model, instance_of(model, name)))
         yield name, {int(model.geom_bodyid[geom]) for geom in geoms}
@@ -98,10 +90,6 @@ def material_in(
 
     Returns:
         Its medium, law with its constants, surface without memory, and memory.
-
-    Raises:
-        UnknownNameError: the model has no such sand; lists those it has.
-        InputError: its configuration cannot be parsed, or does not fit the model.
     """
     sand = _spec_of(model, instance_of(model, name))
     medium, law = material_of(model, sand)

@@ -104,11 +104,7 @@ class Prepared:
 
 
 class Loader:
-    """Make blocks for each new `mjData`.
-
-    Args:
-        draw: called once, before the first sand that is drawn exists.
-    """
+    """Make blocks for each new `mjData`."""
 
     def __init__(self, draw: Callable[[], None]) -> None:
         self._handles = HandleTable()
@@ -117,11 +113,7 @@ class Loader:
         self._draws = False
 
     def load(self, model: int, data: int, instance: int) -> None:
-        """Assign a block to an instance in a new `mjData`.
-
-        Raises:
-            InputError: the configuration cannot be parsed, or does not fit the model.
-        """
+        """Assign a block to an instance in a new `mjData`."""
         with LOADER:
             self._handles.clear(data, instance)
             sands = _sands(model)
@@ -160,11 +152,7 @@ class Loader:
             self._handles.release(data)
 
     def _check_overlap(self, model: int, instance: int, sands: dict[str, int]) -> None:
-        """Check that two sands in one place do not act on the same body.
-
-        Raises:
-            InputError: they do; names both, and the body.
-        """
+        """Check that two sands in one place do not act on the same body."""
         if len(sands) < 2:
             return
         mine = self._prepare(model, instance)
@@ -313,11 +301,7 @@ def _registered() -> list[type]:
 
 
 def _prepare(model: mujoco.MjModel, instance: int, texts: dict[str, str]) -> Prepared:
-    """Prepare the sand of an instance from its configuration, for a model, which is modified.
-
-    Raises:
-        InputError: a string cannot be parsed, or does not fit the model.
-    """
+    """Prepare the sand of an instance from its configuration, for a model, which is modified."""
     if model.opt.disableflags & NO_PASSIVE_FORCES == NO_PASSIVE_FORCES:
         raise InputError(NO_PASSIVE)
     config = read_config(texts)

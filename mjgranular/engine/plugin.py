@@ -96,11 +96,7 @@ class Engine:
         self._message = threading.local()
 
     def register(self, plugin: Plugin) -> None:
-        """Register a plugin with MuJoCo.
-
-        Raises:
-            LayoutError: plugins of this version of MuJoCo have a different struct.
-        """
+        """Register a plugin with MuJoCo."""
         lib = library()
         _check_struct(lib)
         struct = PluginStruct()
@@ -169,11 +165,7 @@ class Engine:
             _logger.debug("reporting the error failed", exc_info=True)
 
     def _activate(self, plugin: Plugin) -> None:
-        """Compile the functions that MuJoCo calls, and activate them.
-
-        Raises:
-            GranularError: that is not possible, now or ever.
-        """
+        """Compile the functions that MuJoCo calls, and activate them."""
         with ENGINE:
             if self._failure is None and plugin.name not in self._active:
                 try:
@@ -240,11 +232,7 @@ def _errors_are_caught() -> bool:
 
 
 def _check_struct(lib: ctypes.CDLL) -> None:
-    """Have MuJoCo clear a struct, to measure its size.
-
-    Raises:
-        LayoutError: the size differs.
-    """
+    """Have MuJoCo clear a struct, to measure its size."""
     memory = (ctypes.c_ubyte * 1024)(*([0xFF] * 1024))
     lib.mjp_defaultPlugin(ctypes.addressof(memory))
     if bytes(memory).find(0xFF) != ctypes.sizeof(PluginStruct):
@@ -299,11 +287,6 @@ def register() -> None:
 
 
 def check_registered() -> None:
-    """Check that the plugins are registered.
-
-    Raises:
-        LayoutError: this version of MuJoCo cannot be used with them.
-        ImportError: MuJoCo's library was not found.
-    """
+    """Check that the plugins are registered."""
     if _refused:
         raise _refused[0]

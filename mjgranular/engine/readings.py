@@ -27,10 +27,6 @@ class SandReadings:
 
     The numbers are in the order of `mjgranular.sensor`: `COUNT` for each sand.
 
-    Args:
-        model: with sand in it.
-        sands: names of the instances.
-
     Attributes:
         values: the array, shape (1, n).
         together: index of the first number of each sand.

@@ -123,11 +123,6 @@ def find_relocations(
     """Return the relocations of the addresses among the words of arrays.
 
     Numbers among addresses are always smaller than any address.
-
-    Args:
-        arrays: arrays in the block.
-        places: of all arrays in the block (`places_of`).
-        structs: of the model and the data.
     """
     rows = []
     for array in arrays:

@@ -53,11 +53,7 @@ _CYLINDER = int(mujoco.mjtGeom.mjGEOM_CYLINDER)
 
 
 def find_sand(name: str, sands: Mapping[str, int]) -> int:
-    """Return the index of the instance that a sensor reads, by its name; "" is the only one.
-
-    Raises:
-        InputError: no such instance, or no name although there are several.
-    """
+    """Return the index of the instance that a sensor reads, by its name; "" is the only one."""
     if not name and len(sands) == 1:
         (only,) = sands.values()
         return only
@@ -78,19 +74,7 @@ def make_readings(
     bodies: Mapping[int, str],
     geoms: Mapping[int, str],
 ) -> np.ndarray:
-    """Make the list of what one instance measures: rows of `READING_DTYPE`.
-
-    Args:
-        instance: index of the instance of this plugin.
-        sand: index of the instance of the sand.
-        measure: name of the measure.
-        array: returns an array of the model by its name.
-        bodies: names of the sand's bodies by their ids, in its order.
-        geoms: names of the geoms that have its elements, by their ids.
-
-    Raises:
-        InputError: no such measure, or a body or geom that does not meet that sand.
-    """
+    """Make the list of what one instance measures: rows of `READING_DTYPE`."""
     if measure not in MEASURES:
         raise InputError(f"config 'measure': {UnknownNameError('measure', measure, MEASURES)}")
     kind = list(MEASURES).index(measure)
@@ -121,11 +105,7 @@ def make_readings(
 
 
 def _place(kind: str, number: int, names: Mapping[int, str]) -> int:
-    """Return the index of a body or geom among those that meet a sand.
-
-    Raises:
-        InputError: it does not meet the sand; lists those that do.
-    """
+    """Return the index of a body or geom among those that meet a sand."""
     if number not in names:
         raise InputError(
             f"objname: {kind} number {number} does not meet the sand; those that do: "

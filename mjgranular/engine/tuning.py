@@ -39,16 +39,7 @@ NO_TUNINGS = np.zeros(0, TUNING_DTYPE)
 
 
 def make_tunings(sand: PreparedSand, model: mujoco.MjModel) -> np.ndarray:
-    """Make the list of what the state changes in a scene: rows of `TUNING_DTYPE`.
-
-    Args:
-        sand: its law names the scaled fields (`strength_keys`, `density_keys`), its surface what
-            changes when it rises (`lift`).
-        model: the model.
-
-    Raises:
-        InputError: a law without these names, or a surface that cannot rise.
-    """
+    """Make the list of what the state changes in a scene: rows of `TUNING_DTYPE`."""
     law, scene = sand.law, sand.scene
     if not (law.strength_keys or law.density_keys):
         raise InputError(
@@ -126,11 +117,7 @@ def tune(
 
 
 def _check_state(state: Any) -> None:
-    """Check that a state is an array of numbers.
-
-    Raises:
-        InputError: it is not; says what would be right.
-    """
+    """Check that a state is an array of numbers."""
     if not isinstance(state, np.ndarray):
         meant = "; use data.plugin_state" if isinstance(state, mujoco.MjData) else ""
         raise InputError(
@@ -140,11 +127,7 @@ def _check_state(state: Any) -> None:
 
 
 def _number(key: str, value: Any, rows: tuple[int, ...]) -> np.ndarray:
-    """Return a value of the state as an array that fits its rows.
-
-    Raises:
-        InputError: the value is not valid for the state, or its length differs from the rows.
-    """
+    """Return a value of the state as an array that fits its rows."""
     array = np.asarray(value)
     if array.dtype.kind not in "biuf":  # a string of digits would be read as a number
         raise InputError(f"{key} must be a number, or one for each simulation, not {shown(value)}")

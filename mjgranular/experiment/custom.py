@@ -80,16 +80,13 @@ def _words(study: Study, name: str) -> list[str]:
 def digest(study: Study) -> str:
     """Return a digest of the files, laws and media on which the results of a study depend."""
     custom, digest = Custom.of(study), hashlib.sha256()
-    for path in [*_files(study.experiment), *map(_module_file, custom.laws)]:
+    modules = [Path(sys.modules[law.__module__].__file__ or "") for law in custom.laws]
+    for path in [*_files(study.experiment), *modules]:
         content = read_file(path, "a file of the study", largest=_LARGEST)
         digest.update(f"{path.name}\0{len(content)}\0".encode() + content)
     for name, medium in custom.media.items():
         digest.update(f"{name}\0{medium}".encode())
     return digest.hexdigest()
-
-
-def _module_file(law: type[Law]) -> Path:
-    return Path(sys.modules[law.__module__].__file__ or "")
 
 
 def _files(experiment: Experiment) -> list[Path]:

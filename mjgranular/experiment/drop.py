@@ -36,11 +36,9 @@ from mjgranular.experiment.ground import (
 from mjgranular.experiment.sampling import Recorder, Sampler
 from mjgranular.experiment.watch import REST_WINDOW, RestWatch
 from mjgranular.models import robot_path
-from mjgranular.relief.memory import Memory, as_memory
 from mjgranular.render import Tracks
 from mjgranular.render.scenery import add_scenery, place_sun
 from mjgranular.sand import Sand
-from mjgranular.sand.prepare import fitted
 from mjgranular.sand.report import BodyReport
 from mjgranular.sand.work import WorkMeter
 
@@ -97,11 +95,7 @@ class Drop(PlainSand):
 
     @classmethod
     def from_config(cls, config: object) -> Drop:
-        """Return the drop of which `config` returned these values.
-
-        Raises:
-            OutputError: they do not describe a drop; says what is wrong.
-        """
+        """Return the drop of which `config` returned these values."""
         where = "the drop's configuration"
         plain = {**config} if isinstance(config, dict) else {}
         for name in ("state", "site"):  # of version 0.2
@@ -371,17 +365,8 @@ def make_ready(spec: mujoco.MjSpec, drop: Drop) -> None:
     add_scenery(spec, drop.surface)
 
 
-def memory_of(drop: Drop, model: mujoco.MjModel) -> Memory | None:
-    """Return the memory of the sand of a run, on its model; None for sand without memory."""
-    return as_memory(fitted(model, drop.sand).memory)
-
-
 def start_from(model: mujoco.MjModel, data: mujoco.MjData, keyframe: str | None) -> None:
-    """Set the state of a keyframe; None to change nothing.
-
-    Raises:
-        UnknownNameError: the model has no such keyframe; lists those it has.
-    """
+    """Set the state of a keyframe; None to change nothing."""
     if keyframe is None:
         return
     key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, keyframe)

@@ -18,9 +18,7 @@ from mjgranular.experiment.watch import REST_WINDOW, RestWatch, StopWatch
 # Energy that the sand may seem to give before the run is ended, over the energy there was to
 # begin with. A passive medium gives none; the explicit sign of the static force a little.
 _ENERGY_MARGIN = 0.05
-_TRACKS_FOR = (
-    0.4  # duration over which tracks are recorded as often as over a whole run [s]; chosen
-)
+_TRACKS_FOR = 0.4  # tracks are recorded as often as over a whole run of that duration [s]; chosen
 _PROGRESS_STEPS = 5000  # between two calls of `progress`
 
 
@@ -180,11 +178,7 @@ class _Run:
         return Rest(time=since - self.watch.touchdown, depth=depth, angle=lean)
 
     def check_energy(self) -> None:
-        """Check that the simulation has not diverged.
-
-        Raises:
-            UnstableError: it has.
-        """
+        """Check that the simulation has not diverged."""
         if not self.energy() <= self.most_energy:  # also if it is NaN
             raise UnstableError(
                 f"the run was stopped at t = {self.time:.4g} s: the link "

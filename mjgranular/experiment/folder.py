@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -56,28 +58,16 @@ def _write_drop_csv(path: Path, result: DropResult) -> None:
 
 
 def saved_command(path: Path) -> str:
-    """Return the command whose result a folder contains.
-
-    Raises:
-        OutputError: it contains none.
-    """
-    try:
+    """Return the command whose result a folder contains."""
+    with _saved(path, "run"):
         command = read_json(files.latest_path(path, CONFIG)).get("command")
-    except OutputError as error:
-        raise OutputError(
-            f"{path} holds no saved run ({error}); make one with mjgranular impact --out {path}"
-        ) from None
-    if not is_text(command):
-        raise OutputError(f"{path} holds no saved run ({CONFIG} names no command)")
+        if not is_text(command):
+            raise OutputError(f"{CONFIG} names no command")
     return str(command)
 
 
 def read_drop(path: Path) -> tuple[Drop, dict[str, np.ndarray]]:
-    """Read a saved run of a model: options, and the samples.
-
-    Raises:
-        OutputError: the folder does not contain such a result.
-    """
+    """Read a saved run of a model: options, and the samples."""
 
     def read() -> tuple[Drop, dict[str, np.ndarray]]:
         config = read_json(files.latest_path(path, CONFIG)).get("config")
@@ -91,28 +81,30 @@ def read_drop(path: Path) -> tuple[Drop, dict[str, np.ndarray]]:
             raise OutputError(f"{file} is damaged: numbers of times and samples differ")
         return drop, arrays
 
+    with _saved(path, "drop"):
+        return files.read_consistent(path, CONFIG, read)
+
+
+@contextmanager
+def _saved(path: Path, what: str) -> Iterator[None]:
+    """Turn any error of reading a folder into one sentence."""
     try:
-        drop, arrays = files.read_consistent(path, CONFIG, read)
+        yield
     except (GranularError, ValueError, KeyError, TypeError) as error:
-        raise OutputError(f"{path} holds no saved drop ({error})") from None
-    return drop, arrays
+        command = "drop MODEL.xml" if what == "drop" else "impact"
+        raise OutputError(
+            f"{path} holds no saved {what} ({error}); make one with mjgranular {command} --out "
+            f"{path}"
+        ) from None
 
 
 def prints_of(arrays: dict[str, np.ndarray]) -> Tracks | None:
-    """Return the tracks among the samples of a run; None if there are none.
-
-    Raises:
-        ValueError: they are damaged.
-    """
+    """Return the tracks among the samples of a run; None if there are none."""
     return Tracks.from_arrays(arrays) if Tracks.names()[0] in arrays else None
 
 
 def read_impact(path: Path) -> tuple[Impact, dict[str, Any], Trajectory]:
-    """Read a saved impact: options, summary, trajectory.
-
-    Raises:
-        OutputError: the folder does not contain such a result.
-    """
+    """Read a saved impact: options, summary, trajectory."""
 
     def read() -> tuple[Impact, dict[str, Any], Trajectory]:
         config = read_json(files.latest_path(path, CONFIG))
@@ -126,22 +118,12 @@ def read_impact(path: Path) -> tuple[Impact, dict[str, Any], Trajectory]:
         trajectory = Trajectory.read_npz(files.latest_path(path, _NPZ))
         return impact, summary, trajectory
 
-    try:
+    with _saved(path, "impact"):
         return files.read_consistent(path, CONFIG, read)
-    except (GranularError, ValueError, KeyError, TypeError) as error:
-        raise OutputError(
-            f"{path} holds no saved impact ({error}); make one with mjgranular impact --out {path}"
-        ) from None
 
 
 def read_prints(path: Path) -> Tracks | None:
-    """Read the tracks of a saved impact; None for sand without memory.
-
-    Raises:
-        OutputError: they are damaged.
-    """
-    try:
-        file = files.latest_path(path, _NPZ)
+    """Read the tracks of a saved impact; None for sand without memory."""
+    file = files.latest_path(path, _NPZ)
+    with _saved(path, "impact"):
         return prints_of(read_arrays(file, Tracks.names())) if Tracks.are_in(file) else None
-    except (GranularError, ValueError, KeyError, TypeError) as error:
-        raise OutputError(f"{path} holds no saved impact ({_NPZ} is damaged: {error})") from None

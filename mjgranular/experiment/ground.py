@@ -89,26 +89,15 @@ class PlainSand:
     @property
     def sand(self) -> SandSpec:
         """The sand as `Sand` and `add_sand` take it."""
+        same = ("medium", "law", "scheme", "resolution", "instead_of", "memory")
+        chosen = {name: getattr(self, name) or None for name in ("bodies", "geoms", "groups")}
         return SandSpec(
-            medium=self.medium,
-            law=self.law,
-            surface=self.surface,
-            scheme=self.scheme,
-            bodies=self.bodies or None,
-            geoms=self.geoms or None,
-            groups=self.groups or None,
-            resolution=self.resolution,
-            instead_of=self.instead_of,
-            memory=self.memory,
+            surface=self.surface, **chosen, **{name: getattr(self, name) for name in same}
         )
 
 
 def hide_replaced(model: mujoco.MjModel, sand: SandSpec) -> None:
-    """Hide geoms that the sand replaces in viewers and films.
-
-    Raises:
-        UnknownNameError: the model has no such geom; lists the valid names.
-    """
+    """Hide geoms that the sand replaces in viewers and films."""
     model.geom_group[find_all(model, "geom", sand.instead_of)] = NOT_SHOWN
 
 
@@ -116,9 +105,6 @@ def refuse_floors(model: mujoco.MjModel, sand: SandSpec) -> None:
     """Check that no ground of the model carries it at or above the sand's surface.
 
     Contacts of geoms that the sand replaces are switched off in the model.
-
-    Raises:
-        InputError: some does; says which, and which options help.
     """
     replace_geoms(model, sand.instead_of)
     floors = find_floors(model, geoms_in_sand(model, sand), surface_of(sand.surface))

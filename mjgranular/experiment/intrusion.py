@@ -16,10 +16,19 @@ from mjgranular.experiment.drop import loading
 from mjgranular.experiment.trajectory import degrees
 from mjgranular.sand import Sand
 from mjgranular.scheme import Explicit
+from mjgranular.shape.select import find_all
 
 Intruder = Literal["plate", "sphere", "cylinder", "capsule", "box"]
 _BODY = "intruder"
 _FORCES = ("resistance", "lift", "sideways")
+_SHAPES = {
+    "plate": (mujoco.mjtGeom.mjGEOM_BOX, (1.0, 1.0, 0.1)),
+    "box": (mujoco.mjtGeom.mjGEOM_BOX, (1.0, 1.0, 1.0)),
+    "sphere": (mujoco.mjtGeom.mjGEOM_SPHERE, (1.0, 0.0, 0.0)),
+    "cylinder": (mujoco.mjtGeom.mjGEOM_CYLINDER, (0.25, 1.0, 0.0)),
+    "capsule": (mujoco.mjtGeom.mjGEOM_CAPSULE, (0.25, 0.75, 0.0)),
+}
+"""Type and size of each intruder, in halves of `Intrusion.size`."""
 
 
 @dataclass(frozen=True)
@@ -234,18 +243,15 @@ def _model(intrusion: Intrusion) -> mujoco.MjModel:
         spec = mujoco.MjSpec()
         body = spec.worldbody.add_body(name=_BODY)
         body.add_freejoint()
-        kind, size = _shape(intrusion.intruder, intrusion.size)
-        body.add_geom(name=_BODY, type=kind, size=size)
+        kind, size = _SHAPES[intrusion.intruder]
+        body.add_geom(name=_BODY, type=kind, size=np.array(size) * intrusion.size / 2)
         return spec.compile()
     with loading(intrusion.model):
         spec = mujoco.MjSpec.from_file(str(intrusion.model))
         source = spec.compile()
     roots = [body for body in spec.worldbody.bodies if _has_geom(body)]
     if intrusion.geom is not None:
-        geom = mujoco.mj_name2id(source, mujoco.mjtObj.mjOBJ_GEOM, intrusion.geom)
-        if geom < 0:
-            known = [source.geom(g).name for g in range(source.ngeom)]
-            raise UnknownNameError("geom of the model", intrusion.geom, [k for k in known if k])
+        (geom,) = find_all(source, "geom", intrusion.geom)
         if source.geom_bodyid[geom] == 0:
             raise InputError(f"geom {intrusion.geom!r} is fixed to the world: use a geom of a body")
         root = source.body(int(source.body_rootid[source.geom_bodyid[geom]])).name
@@ -274,15 +280,3 @@ def _model(intrusion: Intrusion) -> mujoco.MjModel:
 
 def _has_geom(body: Any) -> bool:
     return bool(body.geoms) or any(_has_geom(child) for child in body.bodies)
-
-
-def _shape(intruder: Intruder, size: float) -> tuple[mujoco.mjtGeom, list[float]]:
-    kinds = mujoco.mjtGeom
-    half = size / 2
-    return {
-        "plate": (kinds.mjGEOM_BOX, [half, half, half / 10]),
-        "box": (kinds.mjGEOM_BOX, [half, half, half]),
-        "sphere": (kinds.mjGEOM_SPHERE, [half, 0.0, 0.0]),
-        "cylinder": (kinds.mjGEOM_CYLINDER, [half / 4, half, 0.0]),
-        "capsule": (kinds.mjGEOM_CAPSULE, [half / 4, half - half / 4, 0.0]),
-    }[intruder]

@@ -71,13 +71,10 @@ class StudyResult(Mapped):
             writer.writeheader()
             writer.writerows(self.rows())
 
-    def told(self, failure: Failure) -> str:
-        """Describe a failure: which experiment, with what values, and why."""
-        values = []
-        for name, value in self.study[failure.index].items():
-            value = value_in_table(name, value)
-            text = f"{value:.6g}" if isinstance(value, float) else value
-            values.append(f"{column_of(name)}={text}")
+    def describe(self, failure: Failure) -> str:
+        """Return which experiment failed, with what values, and why."""
+        table = {column_of(n): value_in_table(n, v) for n, v in self.study[failure.index].items()}
+        values = (f"{n}={v:.6g}" if isinstance(v, float) else f"{n}={v}" for n, v in table.items())
         return f"number {failure.index} ({', '.join(values)}): {failure.reason}"
 
 
@@ -145,9 +142,6 @@ def _try(experiment: Experiment) -> None:
 
     This reports what is wrong with all of them before workers start, and compiles missing machine
     code once, not in all of them.
-
-    Raises:
-        InputError: it cannot be set up.
     """
     short: dict[str, Any] = {"points": 2}
     if isinstance(experiment, Impact):

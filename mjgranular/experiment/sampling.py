@@ -17,10 +17,6 @@ class Recorder:
 
     When the buffer is full, every other sample is dropped, and from then on every other one is
     taken: between half and all of the buffer is in use, whatever the number of steps.
-
-    Args:
-        width: number of values in a sample.
-        keep: largest number of samples; even.
     """
 
     def __init__(self, width: int, keep: int = _KEEP) -> None:
@@ -58,11 +54,6 @@ class Sampler:
 
     What sand with memory does follows from more than a state: its reports are kept with the
     samples, and its tracks are recorded.
-
-    Args:
-        sand: the sand.
-        data: the simulation, before its first step.
-        duration: duration of the run [s].
     """
 
     def __init__(self, sand: Sand, data: mujoco.MjData, duration: float) -> None:

@@ -28,8 +28,7 @@ Value = float | int | str
 ANGLES = ("angle", "slope", "uphill", "tilt", "direction")
 """Fields in radians, which are in degrees on the command line and in tables."""
 
-LAW, MEDIUM = "law.", "medium."
-_DENSITY = "medium.density"
+LAW, DENSITY = "law.", "medium.density"
 _MOST = 10**9  # tasks; chosen: a larger grid is a mistake
 _CHECKED = 1000  # values of a field that are checked beforehand; of more, both ends
 _NOT_VARIED = ("model", "bodies", "geoms", "groups", "instead_of", "keep_floor")
@@ -48,11 +47,11 @@ class Between:
     high: float
 
     def __post_init__(self) -> None:
-        if not (is_finite(self.low) and is_finite(self.high)):
-            raise InputError(f"a range must be finite, got {shown(self.low)} to {shown(self.high)}")
-        if not self.low < self.high:
+        low, high = self.low, self.high
+        if not (is_finite(low) and is_finite(high) and low < high):
             raise InputError(
-                f"a range goes from its lower to its upper end, got {self.low} to {self.high}"
+                "a range goes from its lower to its upper end, both finite, got "
+                f"{shown(low)} to {shown(high)}"
             )
 
 
@@ -129,7 +128,6 @@ class Study:
     def config(self) -> dict[str, Any]:
         """Return the study in plain values."""
         base = self.experiment
-        drawn = self.sample is not None
         return {
             "experiment": type(base).__name__.lower(),
             "common": asdict(base) if isinstance(base, Impact) else base.config(),
@@ -138,7 +136,7 @@ class Study:
                 for name, values in self.vary.items()
             },
             "sample": self.sample,
-            "seed": self.seed if drawn else None,
+            "seed": None if self.sample is None else self.seed,
         }
 
     @property
@@ -181,33 +179,28 @@ class Study:
 
 
 def with_values(experiment: Experiment, values: Mapping[str, Value]) -> Experiment:
-    """Return an experiment with other values of some fields.
-
-    Args:
-        experiment: the experiment.
-        values: by the names of the fields, or `law.NAME`, or `medium.density`.
-
-    Raises:
-        UnknownNameError: no such field, or no such parameter of the law; lists the valid ones.
-        InputError: an invalid value of the experiment.
-    """
+    """Return an experiment with other values of some fields, of its law or of its medium."""
     hints = typing.get_type_hints(type(experiment))
     known = [f.name for f in fields(experiment) if f.name not in _NOT_VARIED]
-    changes, law, medium = {}, {}, {}
+    changes, law = {}, {}
     for name, value in values.items():
         if name.startswith(LAW):
             law[name.removeprefix(LAW)] = value
-        elif name.startswith(MEDIUM):
-            medium[name] = value
-        elif name not in known:
-            raise UnknownNameError("field to vary", name, [*known, "law.NAME", _DENSITY])
-        else:
+        elif name in known:
             changes[name] = _converted(name, value, hints[name])
+        elif name != DENSITY:
+            raise UnknownNameError("field to vary", name, [*known, "law.NAME", DENSITY])
     changed = replace(experiment, **changes)
     if law:  # before the medium: the constants of its law do not depend on its density
         changed = replace(changed, law=_law_with(changed, law))
-    if medium:
-        changed = replace(changed, medium=_medium_with(changed, medium))
+    if DENSITY in values:
+        if changed.medium is None:
+            raise InputError(
+                "law and bodies determine the medium if it is not given: name the medium whose "
+                "density is varied"
+            )
+        name = str(changed.medium).partition(" density=")[0]
+        changed = replace(changed, medium=f"{name} density={_word(values[DENSITY])}")
     return changed
 
 
@@ -242,22 +235,6 @@ def _law_with(experiment: Experiment, values: Mapping[str, Value]) -> str:
     return " ".join((kind.name, *words))
 
 
-def _medium_with(experiment: Experiment, values: Mapping[str, Value]) -> str:
-    """Return the medium of an experiment in words, with another density."""
-    for name in values:
-        if name != _DENSITY:
-            raise UnknownNameError(
-                "field to vary", name, [_DENSITY], "constants of a law are law.NAME", guess=False
-            )
-    if experiment.medium is None:
-        raise InputError(
-            "law and bodies determine the medium if it is not given: name the medium whose "
-            "density is varied"
-        )
-    name = str(experiment.medium).partition(" density=")[0]
-    return f"{name} density={_word(values[_DENSITY])}"
-
-
 def _word(value: Any) -> str:
     if isinstance(value, bool):
         return str(value).lower()
@@ -265,11 +242,7 @@ def _word(value: Any) -> str:
 
 
 def _converted(name: str, value: Value, kind: Any) -> Any:
-    """Convert a value to the type of a field.
-
-    Raises:
-        InputError: it is of another type.
-    """
+    """Convert a value to the type of a field."""
     kinds = typing.get_args(kind) if isinstance(kind, types.UnionType) else (kind,)
     if float not in kinds and int not in kinds:
         return value if isinstance(value, str) else f"{value:g}"

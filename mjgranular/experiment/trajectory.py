@@ -89,15 +89,7 @@ class Trajectory:
         bodies: Sequence[BodyReport],
         point: tuple[float, float],
     ) -> Trajectory:
-        """Compute what follows from samples of the state.
-
-        Args:
-            rows: time, `qpos` and `qvel`, shape (n, 7).
-            link: the link.
-            gravity: [m/s^2].
-            bodies: what the sand did on the link at each sample.
-            point: T in the body's frame.
-        """
+        """Compute what follows from samples of the state."""
         derived = np.empty((len(rows), 13))
         for row, body, out in zip(rows, bodies, derived, strict=True):
             kinetic = link.mass * (row[4] ** 2 + row[5] ** 2) + link.inertia * row[6] ** 2
@@ -133,11 +125,7 @@ class Trajectory:
 
     @classmethod
     def read_npz(cls, path: Path) -> Trajectory:
-        """Read what `write_npz` wrote.
-
-        Raises:
-            OutputError: the file is missing, or has no trajectory.
-        """
+        """Read what `write_npz` wrote."""
         arrays = read_arrays(path, [field.name for field in fields(cls)])
         t = arrays["t"]
         if t.ndim != 1 or not len(t) or any(a.shape != t.shape for a in arrays.values()):

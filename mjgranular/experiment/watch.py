@@ -24,9 +24,6 @@ _MOST_AVERAGED = 32
 class StopWatch:
     """Touchdown and stop of a point, from its depth and velocity at every step.
 
-    Args:
-        timestep: [s].
-
     Attributes:
         touchdown: time since the first step at which the point touched the sand [s]; None until
             then.
@@ -106,12 +103,7 @@ class RestWatch:
         self._high = np.zeros(0)
 
     def still(self, time: float, points: np.ndarray) -> bool:
-        """Return whether the points have stayed where they are for the window of rest.
-
-        Args:
-            time: present time [s].
-            points: coordinates [m], always of the same shape.
-        """
+        """Return whether the points have stayed where they are for the window of rest."""
         if self._low.size:
             low, high = np.minimum(self._low, points), np.maximum(self._high, points)
             if (high - low).max() <= REST_DISTANCE:

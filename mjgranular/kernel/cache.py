@@ -49,11 +49,6 @@ _reported: set[Path] = set()
 def load(build: str, name: str, make: Callable[[], T]) -> T | None:
     """Have numba load a program.
 
-    Args:
-        build: digest of the sources (`digest.build`).
-        name: name of the program.
-        make: decorates it, with `cache=True`.
-
     Returns:
         The result of `make`; None if no complete program of that name is cached.
     """
@@ -198,11 +193,7 @@ def _user() -> int | None:
 
 
 def _read(path: Path) -> bytes | None:
-    """Return the content of a file; None if the file is not trusted.
-
-    Raises:
-        OSError: it does not exist, or cannot be read.
-    """
+    """Return the content of a file; None if the file is not trusted."""
     file = os.open(path, _READ)
     with os.fdopen(file, "rb") as opened:
         found = os.fstat(file)
@@ -212,11 +203,7 @@ def _read(path: Path) -> bytes | None:
 
 
 def _restrict(path: Path) -> None:
-    """Remove other users' write access to a file or directory of this user; root's stay readable.
-
-    Raises:
-        OSError: it belongs to another user.
-    """
+    """Remove other users' write access to a file or directory; root's stay readable."""
     for_all = _user() == _ROOT
     if path.is_dir():
         path.chmod(0o755 if for_all else 0o700)

@@ -92,30 +92,12 @@ def entry(kernel: Any, signature: str) -> Callable[..., Any]:
     """Compile a kernel for calls from Python, for exactly these types, unless already compiled.
 
     Calling the result skips numba's choice among signatures, half the cost of a call from Python.
-
-    Args:
-        kernel: kernel with numbers as arguments.
-        signature: numba's, such as `int64(int64, float64)`.
-
-    Raises:
-        CompilerError: numba cannot be used.
-        KernelError: it cannot be compiled.
     """
     return _find(kernel, signature, _python_function)
 
 
 def program_address(kernel: Any, signature: str, what: str = "") -> int:
-    """Compile a kernel for calls from C, unless already compiled, and return its address.
-
-    Args:
-        kernel: kernel with numbers as arguments.
-        signature: numba's, such as `int64(int64, float64)`.
-        what: sand it is for, in words, for the progress message.
-
-    Raises:
-        CompilerError: numba cannot be used.
-        KernelError: it cannot be compiled.
-    """
+    """Compile a kernel for calls from C, unless already compiled, and return its address."""
     return _find(kernel, signature, _c_function, what).address
 
 

@@ -32,10 +32,6 @@ class KernelError(GranularError, TypeError):
     """A kernel cannot be compiled, most likely one of a custom law or surface.
 
     numba's long message is its cause.
-
-    Args:
-        error: numba's error.
-        what: sand that the kernel is for, in words.
     """
 
     def __init__(self, error: BaseException, what: str) -> None:
@@ -56,15 +52,7 @@ _PLACE = re.compile(r'File "([^"]+)", line (\d+)')
 
 @contextmanager
 def compiling(what: str = "") -> Iterator[None]:
-    """Turn errors of numba into a short one that says what failed and where.
-
-    Args:
-        what: sand that is compiled for, in words.
-
-    Raises:
-        CompilerError: numba is missing, not a tested version, or cannot be imported.
-        KernelError: a tested version cannot compile a kernel.
-    """
+    """Turn errors of numba into a short one that says what failed and where."""
     try:
         yield
     except (GranularError, MemoryError):

@@ -69,11 +69,7 @@ def build() -> str:
 
 
 def stable_name(value: Any) -> tuple[object, ...]:
-    """Return a name of a kernel, or of a constant in one, that is the same in every process.
-
-    Raises:
-        TypeError: it has no such name.
-    """
+    """Return a name of a kernel, or of a constant in one, that is the same in every process."""
     kernel = getattr(value, "py_func", None)
     function = kernel or getattr(value, "__wrapped__", value)
     if isinstance(function, FunctionType):  # a kernel, an intrinsic, or part of one

@@ -35,11 +35,7 @@ _FUNCTIONS = {
 
 @cache
 def library() -> ctypes.CDLL:
-    """Return the library that `import mujoco` has loaded, with the types of the functions above.
-
-    Raises:
-        ImportError: it is not in the directory of the Python package `mujoco`.
-    """
+    """Return the library that `import mujoco` has loaded, with the types of the functions above."""
     folder = Path(str(mujoco.__file__)).parent
     found = sorted(folder.glob(_PATTERN))
     if not found:
@@ -105,10 +101,6 @@ ROWS_DTYPE = np.dtype([(name, np.int64) for name in _ROWS])
 
 
 def constraint_rows() -> tuple[int, ...]:
-    """Return the offsets in `mjData` of what describes its constraint rows, as `ROWS_DTYPE`.
-
-    Raises:
-        LayoutError: `mjData` is not laid out as described.
-    """
+    """Return the offsets in `mjData` of what describes its constraint rows, as `ROWS_DTYPE`."""
     check_layout("mjData")
     return tuple(offset_of("mjData", field) for field in _ROWS.values())

@@ -85,10 +85,6 @@ def _call_at(context: Any, builder: Any, signature: Any, args: Any) -> Any:
 def load_functions(code: str, names: Iterable[str]) -> dict[str, int]:
     """Compile functions written in LLVM IR; they live as long as the process.
 
-    Args:
-        code: an LLVM module.
-        names: functions to return.
-
     Returns:
         Their addresses.
     """

@@ -58,22 +58,9 @@ def simulation_table(
 ) -> np.ndarray:
     """Make the table of sizes and addresses.
 
-    Args:
-        model: the model.
-        data: its data.
-        packed: the law's elements as the program reads them.
-        count: number of elements, n.
-        bodies: rows of `records.BODY_DTYPE`, shape (m,).
-        scene: parameters of law, medium and surface, shape (1,).
-        contacts: rows of `records.CONTACT_DTYPE`, shape (n,).
-        spans: copied parts of the state (`kernel.snapshot`).
-        workspace: record of the scheme's workspace (`Scheme.workspace`).
-        options: address of the model's options (`kernel.options`).
-        integrators: integrators that can be stepped, one bit each.
-        longest_step: the longest time step that can be taken [ns].
-        state: state of the surface (`relief.grid`), empty without memory.
-        update: address of the program that updates it, 0 without memory.
-        forces: address of the law's program, 0 if it is part of the scheme's.
+    `packed` has the law's elements, `count` of them, as its program reads them; `integrators` has a
+    bit for each that can be stepped; `longest_step` is in nanoseconds; `options`, `update` and
+    `forces` are addresses, 0 for no program.
 
     Returns:
         The table, shape (27,), int64. It keeps nothing alive: all arguments must outlive every use
@@ -106,16 +93,7 @@ def simulation_table(
 def emit_array(
     context: Any, builder: Any, kind: Any, itemsize: int, address: Any, shape: list[Any]
 ) -> Any:
-    """Emit an array in C order at an address.
-
-    Args:
-        context: numba's.
-        builder: numba's.
-        kind: type of the array.
-        itemsize: size of an item [bytes].
-        address: address of the first item.
-        shape: LLVM's integers.
-    """
+    """Emit an array in C order at an address."""
     array = context.make_array(kind)(context, builder)
     strides = [_WORD(itemsize)]
     for size in reversed(shape[1:]):

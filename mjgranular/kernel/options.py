@@ -23,11 +23,7 @@ NO_PASSIVE_FORCES = int(mujoco.mjtDisableBit.mjDSBL_SPRING | mujoco.mjtDisableBi
 
 
 def options_address(model: mujoco.MjModel) -> int:
-    """Return the address of a model's `mjOption`.
-
-    Raises:
-        LayoutError: it is not laid out as described.
-    """
+    """Return the address of a model's `mjOption`."""
     check_layout("mjOption")
     return model.opt.gravity.ctypes.data - offset_of("mjOption", "gravity")
 

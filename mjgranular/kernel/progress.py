@@ -19,10 +19,6 @@ def report_compiling(how_often: str, what: str) -> None:
 
     The report goes to the log, which the command line shows. If the log is not shown, it is printed
     to a terminal.
-
-    Args:
-        how_often: how often this will happen, in words.
-        what: sand they are for, in words; "" for what every sand needs.
     """
     global _reported
     if what:

@@ -56,11 +56,7 @@ _PROBE = """
 
 
 class LayoutError(GranularError, RuntimeError):
-    """A struct of this version of MuJoCo is not laid out as MuJoCo describes it.
-
-    Args:
-        what: name of the struct, or what was not found in it.
-    """
+    """A struct of this version of MuJoCo is not laid out as MuJoCo describes it."""
 
     def __init__(self, what: str) -> None:
         super().__init__(
@@ -113,14 +109,7 @@ def array_size(struct: str, name: str, head: bytes) -> int:
 
 @cache
 def check_layout(struct: str) -> None:
-    """Compare the description of a struct with what Python shows of one.
-
-    Args:
-        struct: `mjOption`, `mjModel`, `mjData` (with `mjContact`), or `mjvGeom`.
-
-    Raises:
-        LayoutError: they differ.
-    """
+    """Compare the description of a struct with what Python shows of one."""
     try:
         if not all(_agrees(*example) for example in _examples(struct)):
             raise LayoutError(struct)

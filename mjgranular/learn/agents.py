@@ -100,17 +100,7 @@ def make_baseline(
 def make_gait(
     env_id: str, env: Any, parameters: Mapping[str, float] | Sequence[Mapping[str, float]]
 ) -> Gaits:
-    """Return the scripted gait of an environment.
-
-    Args:
-        env_id: Gymnasium id of the environment.
-        env: the environment itself, one or several.
-        parameters: those of the gait that differ from its defaults; one for all simulations, or one
-            for each.
-
-    Raises:
-        InputError: the environment has no gait, or the gait has no such parameter.
-    """
+    """Return the scripted gait of an environment."""
     gaits = importlib.import_module("mjgranular.envs.gaits")
     task: Any = getattr(env.unwrapped, "task", None)
     if type(task).__name__ not in gaits.gaits:

@@ -27,12 +27,6 @@ ends)."""
 class CheckpointCallback(BaseCallback):
     """Writes curve and checkpoints between rollouts, and ends the training after a signal.
 
-    Args:
-        run: the run.
-        start: progress at the start of this process.
-        report: called at every step of the environments.
-        received: signals received so far.
-
     Attributes:
         rollout_start: number of steps at the start of the rollout.
         stopped: whether a signal ended the training within a rollout.

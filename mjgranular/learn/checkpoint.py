@@ -78,17 +78,7 @@ def save_checkpoint(run: Run, model: Any, progress: Progress) -> None:
 def load_checkpoint(
     folder: Path, run: Run, env: Any, make_model: Callable[[], Any]
 ) -> tuple[Any, Progress]:
-    """Return the model and progress of an undamaged checkpoint.
-
-    Args:
-        folder: folder of the checkpoint.
-        run: the run.
-        env: a new `VecNormalize`, to which the saved statistics are restored.
-        make_model: makes a new model with the run's settings.
-
-    Raises:
-        GranularError: a file is damaged or of another run, or was written by other versions.
-    """
+    """Return the model and progress of an undamaged checkpoint."""
     normalizer = Normalizer.read(folder / NORMALIZER, run.settings, env.observation_space.shape)
     weights = read_weights(folder / POLICY)
     check_spaces(weights, env, folder, run.environment)
@@ -189,11 +179,7 @@ class Normalizer:
 
     @classmethod
     def read(cls, file: Path, settings: Settings, shape: tuple[int, ...]) -> Normalizer:
-        """Read what `as_json` returned, for observations of a shape.
-
-        Raises:
-            OutputError: it is missing, damaged, or from another policy.
-        """
+        """Read what `as_json` returned, for observations of a shape."""
         content, scaled = read_json(file), settings.normalize_observations
         try:
             arrays = {name: np.array(content[name], float) for name in ("mean", "variance")}

@@ -15,13 +15,7 @@ _PURPOSE = "Training and evaluating policies"
 
 
 def find_spec(env_id: str) -> Any:
-    """Return Gymnasium's specification of an environment.
-
-    Raises:
-        UnknownNameError: no environment has that id, or no module has the name before its colon.
-        InputError: that module cannot be imported.
-        MissingExtraError: Gymnasium is not installed.
-    """
+    """Return Gymnasium's specification of an environment."""
     require("gymnasium", extra="train", purpose=_PURPOSE)
     return importlib.import_module("mjgranular.envs.known").find_spec(env_id)
 
@@ -51,18 +45,7 @@ def for_training(
     num_envs: int,
     warp: str | None = None,
 ) -> Any:
-    """Return environments as a `VecEnv` of Stable-Baselines3 that reports finished episodes.
-
-    Args:
-        env_id: Gymnasium id.
-        arguments: arguments of the environment.
-        num_envs: number of environments.
-        warp: device of MuJoCo Warp that steps the batch; None for MuJoCo on this machine's cores.
-
-    Raises:
-        InputError: the environment does not take the arguments, or `warp` is set for one that does
-            not step in a batch.
-    """
+    """Return environments as a `VecEnv` of Stable-Baselines3 that reports finished episodes."""
     require("stable_baselines3", extra="train", purpose="Training a policy")
     from stable_baselines3.common.env_util import make_vec_env
     from stable_baselines3.common.vec_env import VecMonitor
@@ -85,12 +68,7 @@ def for_training(
 def for_filming(
     env_id: str, arguments: Mapping[str, Any], *, width: int, height: int, camera: str | None
 ) -> Any:
-    """Return one environment that renders itself.
-
-    Raises:
-        RenderError: rendering fails on this machine.
-        InputError: it has no cameras, and one was requested.
-    """
+    """Return one environment that renders itself."""
     from gymnasium.envs.registration import load_env_creator
 
     creator = find_spec(env_id).entry_point

@@ -51,14 +51,7 @@ def run_episodes(
     make_agent: Callable[[Any], Agent],
     seeds: Sequence[int],
 ) -> Episodes:
-    """Run one episode for each seed.
-
-    Args:
-        env_id: Gymnasium id.
-        arguments: arguments of the environment.
-        make_agent: returns the agent for given environments.
-        seeds: seeds of the resets.
-    """
+    """Run one episode for each seed."""
     if not seeds:
         raise InputError("at least one seed is needed")
     parts = []
@@ -241,11 +234,7 @@ def check_seeds(seeds: int, first_seed: int = FIRST_SEED) -> None:
 
 
 def parse_variant(text: str) -> dict[str, Any]:
-    """Return the arguments of an environment from `name=value,name=value`; values as in TOML.
-
-    Raises:
-        InputError: not of this form.
-    """
+    """Return the arguments of an environment from `name=value,name=value`; values as in TOML."""
     arguments: dict[str, Any] = {}
     for part in _split_at_commas(text):
         name, equals, value = part.partition("=")

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from mjgranular.errors import GranularError, RenderError
+from mjgranular.errors import drawing
 from mjgranular.learn import environments
 from mjgranular.learn.agents import Agent
 from mjgranular.picture.video import Film
@@ -27,20 +27,8 @@ def frames_of_episode(
 ) -> tuple[Film, int, Iterator[np.ndarray]]:
     """Return the frames of an episode in real time, from its beginning, for `film.seconds` at most.
 
-    Args:
-        env_id: Gymnasium id.
-        arguments: arguments of the environment.
-        make_agent: returns the agent for a given environment.
-        film: size, frames per second, length.
-        seed: seed of the environment's reset.
-        camera: camera of the model; None for the environment's default view.
-
     Returns:
         The film with the size and rate of the frames, their largest number, and the frames.
-
-    Raises:
-        InputError: no such camera.
-        RenderError: the environment cannot be drawn on this machine.
     """
     env = environments.for_filming(
         env_id, arguments, width=film.width, height=film.height, camera=camera
@@ -73,13 +61,5 @@ def frames_of_episode(
 
 
 def _frame(env: Any) -> np.ndarray:
-    try:
+    with drawing():
         return np.asarray(env.render(), dtype=np.uint8)
-    except GranularError:
-        raise
-    except Exception as error:  # each platform's GL fails differently
-        raise RenderError(
-            f"the environment cannot be drawn ({type(error).__name__}: {error}); on Linux without "
-            "a screen install libegl1 (apt-get install libegl1 libgl1-mesa-dri), import mjgranular "
-            "before mujoco, or set MUJOCO_GL=egl"
-        ) from None

@@ -64,8 +64,8 @@ def load_policy(where: Path | str) -> Policy:
     """Load a policy as data: nothing in its files is executed.
 
     Args:
-        where: a run's folder (its newest checkpoint is taken), a checkpoint's, a policy's folder or
-            its `policy.zip`; or the name of a policy that comes with the package.
+        where: a run's folder (its newest checkpoint is taken), a checkpoint's, a policy's folder; a
+            `policy.zip`; or the name of a policy that comes with the package.
 
     Raises:
         OutputError: it has no policy, or the installed packages cannot read it.
@@ -73,7 +73,8 @@ def load_policy(where: Path | str) -> Policy:
     """
     folder = _folder(where)
     run = open_run(folder)
-    newest = run.newest_checkpoint() if (folder / CHECKPOINTS).is_dir() else None
+    whole = (folder / CHECKPOINTS).is_dir() and Path(where).name != POLICY
+    newest = run.newest_checkpoint() if whole else None
     holder = newest or folder
     policy = files.read_consistent(holder, POLICY, lambda: _load(run, holder))
     trained_with = str(run.versions.get("mujoco"))

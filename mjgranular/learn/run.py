@@ -147,9 +147,6 @@ class Run:
 
         An environment `module:Name-v0` executes its module. This is allowed if the user trusts the
         run, or has already imported the module.
-
-        Raises:
-            OutputError: it is not allowed.
         """
         module, colon, name = self.environment.rpartition(":")
         # These of Gymnasium make an environment of any module that their arguments name.
@@ -249,16 +246,12 @@ def curve_text(rows: Sequence[Sequence[float]]) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(CURVE_COLUMNS)
-    writer.writerows(rows)
+    writer.writerows((int(steps), time, int(count), *means) for steps, time, count, *means in rows)
     return text.getvalue()
 
 
 def read_curve(file: Path) -> list[tuple[float, ...]]:
-    """Read a learning curve; rows of `CURVE_COLUMNS`.
-
-    Raises:
-        OutputError: it cannot be read, or is not a curve.
-    """
+    """Read a learning curve; rows of `CURVE_COLUMNS`."""
     text = read_text(file)
     try:
         rows = [tuple(map(float, row)) for row in list(csv.reader(io.StringIO(text)))[1:]]

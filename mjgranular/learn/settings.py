@@ -106,11 +106,7 @@ class Settings:
 
     @classmethod
     def from_json(cls, content: object) -> Settings:
-        """Return the settings of which `as_json` made `content`.
-
-        Raises:
-            InputError: `content` is not of that form; says what is wrong.
-        """
+        """Return the settings of which `as_json` made `content`."""
         if not isinstance(content, Mapping):
             raise InputError("settings must be an object")
         content = {name: value for name, value in content.items() if name != "processes"}  # 0.2
@@ -148,12 +144,7 @@ def settings_file(env_id: str) -> Path:
 
 
 def read_settings(file: Path, *, algorithm: str | None = None) -> Settings:
-    """Read settings: `algorithm`, a table `[environment]`, and a table for each algorithm.
-
-    Raises:
-        InputError: the file cannot be read, or has a wrong key or value.
-        UnknownNameError: no such algorithm, or the file has no table for it.
-    """
+    """Read settings: `algorithm`, a table `[environment]`, and a table for each algorithm."""
     where = place(file)
     content = _read_toml(file, where)
     _check_keys(where, content, ("algorithm", "environment", *ALGORITHMS))
@@ -170,8 +161,6 @@ def read_settings(file: Path, *, algorithm: str | None = None) -> Settings:
     environment = content.get("environment", {})
     try:
         return Settings.from_json({**table, "algorithm": name, "environment": environment})
-    except UnknownNameError:
-        raise
     except InputError as error:
         raise InputError(f"{where}, [{name}]: {error}") from None
 

@@ -44,14 +44,7 @@ def read_medium(path: str | Path) -> Medium:
     if not isinstance(path, (str, Path)):
         raise InputError(f"a medium is read from a file, not from {kind_of(path)}")
     path = Path(path)
-    outline = read_outline_file(
-        path,
-        "the medium",
-        "a medium needs",
-        largest=LARGEST,
-        extra="media",
-        purpose="Reading a medium from a file",
-    )
+    outline = read_outline_file(path, "the medium", largest=LARGEST, extra="media")
     try:
         return _medium(outline)
     except InputError as error:

@@ -49,6 +49,8 @@ def get_medium(medium: str | Path | Medium) -> Medium:
         return media[medium]
     if isinstance(medium, str) and (words := _WORDS.fullmatch(medium)):
         return _with_options(get_medium(words[1]), words[2].split(), medium)
+    if isinstance(medium, dict):
+        raise InputError("a medium is a Medium, its name, or a YAML file, not a dict")
     if isinstance(medium, Path) or str(medium).endswith((".yaml", ".yml")):
         return read_medium(Path(medium))
     if isinstance(medium, str) and Path(medium).suffix:

@@ -25,39 +25,23 @@ class OutlineError(InputError):
     """Error in a YAML document, with its line."""
 
 
-def read_outline_file(
-    path: Path, what: str, needed: str, *, largest: int, extra: str, purpose: str
-) -> Any:
-    """Read a YAML file as `read_outline` does.
+def read_outline_file(path: Path, what: str, *, largest: int, extra: str) -> Any:
+    """Read a YAML file as `read_outline` does, of at most `largest` bytes.
 
-    Args:
-        path: path of the file.
-        what: expected content, for messages: "the medium".
-        needed: what needs PyYAML: "a medium needs".
-        largest: largest accepted size of the file [bytes].
-        extra: the extra that installs PyYAML.
-        purpose: purpose of reading, for the message if PyYAML is missing.
-
-    Raises:
-        InputError: the file cannot be read, is too large, or is not such YAML; says which.
-        MissingExtraError: PyYAML is not installed.
+    `what` is the expected content, for messages; `extra` installs PyYAML.
     """
-    yaml = require("yaml", extra=extra, purpose=purpose)
+    yaml = require("yaml", extra=extra, purpose=f"Reading {what} from a file")
     content = read_file(path, what, largest=largest)
     try:
         return read_outline(content.decode("utf-8"), yaml)
     except UnicodeDecodeError as error:
         raise InputError(f"{place(path)} is not YAML: byte {error.start} is not UTF-8") from None
     except OutlineError as error:
-        raise InputError(f"{place(path)} is not YAML as {needed} it: {error}") from None
+        raise InputError(f"{place(path)} is not YAML that can be read: {error}") from None
 
 
 def read_outline(text: str, yaml: Any) -> Any:
     """Read YAML: dicts, lists, strings, and unquoted None, True and False.
-
-    Args:
-        text: one document.
-        yaml: the module `yaml`.
 
     Raises:
         OutlineError: it is not YAML, or has unsupported content: tags, several documents, a

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,7 +13,7 @@ from mjgranular._util.extras import require
 from mjgranular._util.files import atomic_write
 from mjgranular.errors import InputError
 from mjgranular.picture.figures import plain
-from mjgranular.picture.outlines import AROUND, area_vectors, frames_of, padded, polygons_of
+from mjgranular.picture.outlines import AROUND, area_vectors, padded, polygons_of
 from mjgranular.picture.shown import DEPTHS, INK, RED, Color, Shown, kind_of, rgb, with_alpha
 from mjgranular.picture.solids import add_elements
 from mjgranular.sand import Sand
@@ -47,11 +46,7 @@ def count(number: int, things: str) -> str:
 
 
 def check_file(file: Path) -> None:
-    """Check that a figure can be written to a file.
-
-    Raises:
-        InputError: its extension is not in `FORMATS`.
-    """
+    """Check that a figure can be written to a file."""
     if file.suffix.lower() not in FORMATS:
         raise InputError(
             f"a figure is written as {', '.join(FORMATS[:-1])} or {FORMATS[-1]}, not "
@@ -116,7 +111,9 @@ def draw_elements(
         )
         figure.suptitle("\n".join(lines), y=0.985, va="top", fontsize=10)
         if file is not None:
-            _save(figure, Path(file))
+            with atomic_write(Path(file)) as part:
+                style = {"facecolor": "white", "bbox_inches": "tight", "pad_inches": 0.15}
+                figure.savefig(part, dpi=150, **style)
     return figure
 
 
@@ -129,11 +126,6 @@ def _set_state(target: np.ndarray, values: Sequence[float] | np.ndarray | None, 
     if not np.isfinite(given).all():
         raise InputError(f"{name} must be finite, not {given}")
     target[:] = given
-
-
-def _save(figure: Figure, file: Path) -> None:
-    with atomic_write(file) as part:
-        figure.savefig(part, dpi=150, facecolor="white", bbox_inches="tight", pad_inches=0.15)
 
 
 def _draw(figure: Any, shown: Shown, surface: Any, *, normals: bool, forces: bool) -> None:
@@ -206,32 +198,14 @@ def _set_axes(axes: Any, low: np.ndarray, high: np.ndarray) -> None:
 
 
 def _draw_plane(axes: Any, art: Any, plane: Plane, low: np.ndarray, high: np.ndarray) -> None:
-    """Draw the sand's surface where it passes through the box."""
-    cut = _cut_box(plane, low, high)
-    if len(cut) < 3:
-        return
-    axes.add_collection3d(
-        art.Poly3DCollection([cut], facecolors=[(*rgb(_SAND), 0.3)], edgecolors="none", zorder=1)
-    )
-    outline = np.vstack([cut, cut[:1]])
-    axes.plot(*outline.T, color="#9A7B45", linewidth=0.9, linestyle="--", zorder=1)
-
-
-def _cut_box(plane: Plane, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Return the corners, in order, of the part of a plane in a box, shape (k, 3), k at most 6."""
-    sides = np.array(list(itertools.product((0, 1), repeat=3)))
-    corners = low + sides * (high - low)
-    above = (corners - [0, 0, plane.height]) @ plane.normal
-    ends = [
-        (i, j)
-        for i, j in itertools.combinations(range(8), 2)
-        if np.abs(sides[i] - sides[j]).sum() == 1 and (above[i] > 0) != (above[j] > 0)
-    ]
-    i, j = np.array(ends, dtype=int).reshape(-1, 2).T
-    share = above[i] / (above[i] - above[j])
-    points = corners[i] + share[:, None] * (corners[j] - corners[i])
-    across = (points - points.sum(axis=0) / max(len(points), 1)) @ frames_of(plane.normal[None])[0]
-    return points[np.argsort(np.arctan2(across[:, 1], across[:, 0]))]
+    """Draw the sand's surface over the ground of the box, if it passes through the box."""
+    x, y = np.array([(low[0], low[1]), (high[0], low[1]), (high[0], high[1]), (low[0], high[1])]).T
+    along, across, up = plane.normal
+    z = plane.height - (along * x + across * y) / up
+    if z.max() >= low[2] and z.min() <= high[2]:
+        sheet = art.Poly3DCollection([np.column_stack([x, y, z])], zorder=1, linestyles="--")
+        sheet.set(facecolor=(*rgb(_SAND), 0.3), edgecolor="#9A7B45", linewidth=0.9)
+        axes.add_collection3d(sheet)
 
 
 def _draw_legend(figure: Any, names: dict[str, np.ndarray]) -> None:

@@ -52,42 +52,47 @@ def plain(text: str) -> str:
     return f" {lines}" if lines.startswith("_") else lines
 
 
+@contextmanager
+def panels(
+    path: Path, size: tuple[float, float], title: str, below: str, *beside: str
+) -> Iterator[Any]:
+    """Yield axes one above the other, with a label below all and one beside each."""
+    with figure(path, *size, title) as drawn:
+        axes = drawn.subplots(len(beside), 1, sharex=True, squeeze=False)[:, 0]
+        for axis, label in zip(axes, beside, strict=True):
+            axis.set_ylabel(label)
+        axes[-1].set_xlabel(below)
+        yield axes
+
+
 def draw_motion(path: Path, trajectory: Trajectory, *, stop: float | None, title: str = "") -> None:
     """Draw depth and velocity of T and the link's angle against time, as in Figs. 2-4 and 6-8.
 
     A line marks the time from release to the stop [s], if there was one.
     """
-    with figure(path, 6.4, 7.2, title) as drawn:
-        axes = drawn.subplots(3, 1, sharex=True)
+    labels = "depth of T, $y_T$ [mm]", "velocity of T, $v_{Ty}$ [m/s]", "angle, $q$ [deg]"
+    with panels(path, (6.4, 7.2), title, "time since release [ms]", *labels) as axes:
         t = trajectory.t * 1e3
         axes[0].plot(t, trajectory.y_T * 1e3, color=_BLUE)
-        axes[0].set_ylabel("depth of T, $y_T$ [mm]")
         axes[0].invert_yaxis()
         axes[1].plot(t, trajectory.v_Ty, color=_BLUE)
         axes[1].axhline(0, color=_GREY, linewidth=0.8)
-        axes[1].set_ylabel("velocity of T, $v_{Ty}$ [m/s]")
         axes[2].plot(t, np.degrees(trajectory.q), color=_BLUE)
-        axes[2].set_ylabel("angle, $q$ [deg]")
-        axes[2].set_xlabel("time since release [ms]")
         _mark_stop(axes, stop)
 
 
 def draw_forces(path: Path, trajectory: Trajectory, *, stop: float | None, title: str = "") -> None:
     """Draw force, moment and power of the sand, and the link's energy, as `draw_motion` does."""
-    with figure(path, 6.4, 8.2, title) as drawn:
-        axes = drawn.subplots(4, 1, sharex=True)
+    labels = "force [N]", "moment about C [N m]", "power of the sand [W]", "energy of the link [J]"
+    with panels(path, (6.4, 8.2), title, "time since release [ms]", *labels) as axes:
         t = trajectory.t * 1e3
         axes[0].plot(t, -trajectory.F_y, color=_BLUE, label="up, $-F_y$")
         axes[0].plot(t, trajectory.F_x, color=_OCHRE, label="along the surface, $F_x$")
-        axes[0].set_ylabel("force [N]")
         axes[0].legend()
-        axes[1].plot(t, trajectory.M, color=_BLUE)
-        axes[1].set_ylabel("moment about C [N m]")
-        axes[2].plot(t, trajectory.power, color=_BLUE)
-        axes[2].set_ylabel("power of the sand [W]")
-        axes[3].plot(t, trajectory.energy, color=_BLUE)
-        axes[3].set_ylabel("energy of the link [J]")
-        axes[3].set_xlabel("time since release [ms]")
+        for axis, values in zip(
+            axes[1:], (trajectory.M, trajectory.power, trajectory.energy), strict=True
+        ):
+            axis.plot(t, values, color=_BLUE)
         _mark_stop(axes, stop)
 
 
@@ -110,12 +115,10 @@ def _mark_stop(axes: Sequence[Any], stop: float | None) -> None:
 
 def draw_prints(path: Path, x: np.ndarray, height: np.ndarray, *, title: str = "") -> None:
     """Draw the height [m] of sand with memory over positions in the plane of motion [m]."""
-    with figure(path, 6.4, 3.2, title) as drawn:
-        axes = drawn.subplots()
-        axes.axhline(0, color=_GREY, linewidth=0.8)
-        axes.plot(x * 1e3, height * 1e3, color=_OCHRE, marker=".", markersize=3)
-        axes.set_xlabel("along the surface, $x$ [mm]")
-        axes.set_ylabel("height of the sand [mm]")
+    labels = "along the surface, $x$ [mm]", "height of the sand [mm]"
+    with panels(path, (6.4, 3.2), title, *labels) as axes:
+        axes[0].axhline(0, color=_GREY, linewidth=0.8)
+        axes[0].plot(x * 1e3, height * 1e3, color=_OCHRE, marker=".", markersize=3)
 
 
 def draw_drop(
@@ -131,59 +134,35 @@ def draw_drop(
     """Draw depth, force and power of the bodies that met the sand, against time.
 
     If there are many, those with the largest forces are drawn.
-
-    Args:
-        path: path of the picture.
-        t: times [s], shape (n,).
-        names: names of the bodies.
-        depth: [m], shape (n, bodies).
-        force: [N], shape (n, bodies, 3).
-        power: power of the sand [W], shape (n, bodies).
-        title: title of the figure.
     """
     met = [k for k in range(len(names)) if depth[:, k].max() > 0] or list(range(len(names)))
     greatest = np.linalg.norm(force, axis=2).max(axis=0)
     strongest = sorted(met, key=lambda k: -greatest[k])[:_MOST_CURVES]
     if len(met) > _MOST_CURVES:
         title += f"\n(the {_MOST_CURVES} bodies with the largest forces, of {len(met)} in the sand)"
-    with figure(path, 6.8, 7.2, title) as drawn:
-        axes = drawn.subplots(3, 1, sharex=True)
+    labels = "greatest depth [mm]", "force of the sand [N]", "power of the sand [W]"
+    with panels(path, (6.8, 7.2), title, "time [s]", *labels) as axes:
         for k in sorted(strongest):
             axes[0].plot(t, depth[:, k] * 1e3, label=plain(names[k]), linewidth=1.2)
             axes[1].plot(t, np.linalg.norm(force[:, k], axis=1), linewidth=1.0)
             axes[2].plot(t, power[:, k], linewidth=1.0)
         axes[0].axhline(0, color=_OCHRE, linewidth=1.2)
         axes[0].invert_yaxis()
-        axes[0].set_ylabel("greatest depth [mm]")
-        axes[1].set_ylabel("force of the sand [N]")
-        axes[2].set_ylabel("power of the sand [W]")
-        axes[2].set_xlabel("time [s]")
         axes[0].legend(fontsize=8, ncols=2)
 
 
 def draw_intrusion(
     path: Path, depth: np.ndarray, force: np.ndarray, moment: np.ndarray, *, title: str = ""
 ) -> None:
-    """Draw force and moment against depth.
-
-    Args:
-        path: path of the picture.
-        depth: depth of the intruder's deepest point [m], shape (n,).
-        force: force along the path, across it and sideways [N], shape (n, 3).
-        moment: moment about the intruder's center [N m], shape (n, 3).
-        title: title of the figure.
-    """
-    with figure(path, 6.4, 6.4, title) as drawn:
-        axes = drawn.subplots(2, 1, sharex=True)
+    """Draw force, as in `IntrusionResult`, and moment against depth."""
+    beside = "force of the sand [N]", "moment about the center [N m]"
+    with panels(path, (6.4, 6.4), title, "depth of the deepest point [mm]", *beside) as axes:
         labels = ("against the motion", "lift, up across the motion", "sideways")
         for k, (label, color) in enumerate(zip(labels, (_BLUE, _OCHRE, _GREY), strict=True)):
             axes[0].plot(depth * 1e3, force[:, k], color=color, label=label)
-        axes[0].set_ylabel("force of the sand [N]")
         axes[0].legend()
         for k, (label, color) in enumerate(zip("xyz", (_OCHRE, _BLUE, _GREY), strict=True)):
             axes[1].plot(depth * 1e3, moment[:, k], color=color, label=f"about {label}")
         if np.abs(moment).max() < 1e-9 * max(np.abs(force).max(), 1e-300):
             axes[1].set_ylim(-1, 1)  # only rounding errors
-        axes[1].set_ylabel("moment about the center [N m]")
-        axes[1].set_xlabel("depth of the deepest point [mm]")
         axes[1].legend()

@@ -25,17 +25,16 @@ _QUANTITIES |= {
 _MOST = 24  # curves in a figure
 
 
-def draw_fit(path: Path, result: FitResult, *, title: str = "") -> None:
-    """Draw every run's curves: measurements as dots, predictions of the fitted law as lines.
-
-    The default title is the fitted constants.
-    """
+def draw_fit(path: Path, result: FitResult) -> None:
+    """Draw every run's curves: measurements as dots, predictions of the fitted law as lines."""
     curves = [(name, curve) for name, found in result.curves.items() for curve in found][:_MOST]
     columns = min(3, len(curves))
     rows = math.ceil(len(curves) / columns)
     size = max(6.4, 3.6 * columns), 0.9 + 2.7 * rows
     measured, fitted, predicted = "#8a8a8a", *PALETTE[:2]
-    with figure(path, *size, title or _constants(result)) as drawn:
+    constants = ", ".join(f"{name} = {value:.3g}" for name, value in result.values.items())
+    title = f"{result.material.law.name}: {constants}"
+    with figure(path, *size, title) as drawn:
         grid = drawn.subplots(rows, columns, squeeze=False).ravel()
         for axes, (name, curve) in zip(grid, curves, strict=False):
             along, below = _AXES[curve.axis]
@@ -54,9 +53,3 @@ def draw_fit(path: Path, result: FitResult, *, title: str = "") -> None:
             axes.legend(loc="best", fontsize="small")
         for axes in grid[len(curves) :]:
             axes.set_visible(False)
-
-
-def _constants(result: FitResult) -> str:
-    """Return the fitted constants, in one line."""
-    values = (f"{name} = {value:.3g}" for name, value in result.values.items())
-    return f"{result.material.law.name}: {', '.join(values)}"

@@ -8,12 +8,12 @@ import numpy as np
 
 from mjgranular._util.checks import kind_of
 from mjgranular.errors import InputError, UnknownNameError
-from mjgranular.experiment.drop import DropResult, load, memory_of
+from mjgranular.experiment.drop import DropResult
 from mjgranular.experiment.impact import ImpactResult
 from mjgranular.picture.video import (
     Film,
     Motion,
-    frames_of_model,
+    frames_of_drop,
     frames_of_run,
     need_mediapy,
 )
@@ -31,10 +31,8 @@ def _pictures(film: Any, fps: int, seconds: float, camera: str | None) -> list[n
     """Return the pictures of a film, or of a result."""
     if isinstance(film, DropResult):
         options = Film(camera=camera or "free", fps=fps, seconds=seconds)
-        model, _ = load(film.drop)
         motion = Motion(film.t, film.qpos, film.point, film.force)
-        surface, memory = film.drop.surface, memory_of(film.drop, model)
-        return list(frames_of_model(options, model, motion, surface, film.prints, memory)[1])
+        return list(frames_of_drop(options, film.drop, motion, film.prints)[1])
     if isinstance(film, ImpactResult):
         options = Film(camera=camera or "side", fps=fps, seconds=seconds)
         stop = None if film.stop is None else (film.touchdown or 0.0) + film.stop.time
@@ -47,6 +45,7 @@ def _pictures(film: Any, fps: int, seconds: float, camera: str | None) -> list[n
         pictures = [np.asarray(picture) for picture in film]
     except (TypeError, ValueError, UnknownNameError):  # not a sequence, nor a known result
         pictures = []
+    pictures = [picture[..., :3] if picture.ndim == 3 else picture for picture in pictures]
     if not pictures or any(p.ndim != 3 or p.shape != pictures[0].shape for p in pictures):
         raise InputError(
             "show takes pictures of one size, shape (height, width, 3), such as those of "

@@ -47,7 +47,8 @@ def facet_corners(facets: np.ndarray) -> np.ndarray:
     wide, edges = half_edges(facets)
     around = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) @ edges
     if not wide.all():
-        discs = _disc_radius(facets["area"])[:, None, None] * _circles(facets["normal"])
+        radius = np.sqrt(2 * facets["area"] / (AROUND * math.sin(2 * math.pi / AROUND)))
+        discs = radius[:, None, None] * _circles(facets["normal"])
         discs[wide] = padded(around, AROUND)
         around = discs
     return facets["point"][:, None] + around
@@ -106,11 +107,6 @@ def frames_of(axes: np.ndarray) -> np.ndarray:
     first = np.cross(axes, np.eye(3)[np.argmin(np.abs(axes), axis=1)])
     first /= np.linalg.norm(first, axis=1, keepdims=True)
     return np.stack([first, np.cross(axes, first), axes], axis=2)
-
-
-def _disc_radius(area: np.ndarray) -> np.ndarray:
-    """Return the radius of the polygon with `AROUND` corners and a given area [m]."""
-    return np.sqrt(2 * area / (AROUND * math.sin(2 * math.pi / AROUND)))
 
 
 def area_vectors(polygons: np.ndarray) -> np.ndarray:

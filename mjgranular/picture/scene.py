@@ -9,14 +9,14 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from mjgranular.errors import RenderError
+from mjgranular.errors import drawing
 from mjgranular.relief import Memory
 from mjgranular.render import Replay, TrackMesh, Tracks
 from mjgranular.render.material import NOT_SHOWN, TILE, SandMaterial, boxes_of, moving_geoms
 from mjgranular.render.track_mesh import Region
 from mjgranular.surface import Plane, Surface
 
-_ARROW = np.array([0.80, 0.16, 0.10, 1.0], dtype=np.float32)
+_ARROW = np.array([0.80, 0.16, 0.10])
 # Chosen by appearance and speed: the time of software rendering is proportional to the samples.
 _SAMPLES = 2  # per pixel
 _INSTANTS = 16  # number of instants at which the extent of the model is sampled
@@ -127,32 +127,23 @@ def _cut_open(model: mujoco.MjModel) -> tuple[Region, float]:
 
 
 def make_renderer(model: mujoco.MjModel, width: int, height: int) -> Any:
-    """Make a renderer for pictures of a size in pixels.
-
-    Raises:
-        RenderError: MuJoCo cannot render on this machine; says what to install.
-    """
+    """Make a renderer for pictures of a size in pixels."""
     # Exactly the size of the picture: MuJoCo processes its whole buffer.
     model.vis.global_.offwidth, model.vis.global_.offheight = width, height
     model.vis.quality.offsamples = min(model.vis.quality.offsamples, _SAMPLES)
-    try:
+    with drawing():
         return mujoco.Renderer(model, height, width)
-    except Exception as error:  # each platform's GL fails differently
-        raise RenderError(
-            f"MuJoCo cannot draw on this machine ({type(error).__name__}: {error}); on Linux "
-            "without a screen install libegl1 (apt-get install libegl1 libgl1-mesa-dri) and import "
-            "mjgranular before mujoco, or set MUJOCO_GL=egl yourself; MUJOCO_GL=osmesa with "
-            "libosmesa6 works too"
-        ) from None
 
 
-def add_arrow(scene: Any, tail: np.ndarray, tip: np.ndarray, width: float) -> None:
-    """Add an arrow to a scene."""
+def add_arrow(
+    scene: Any, tail: np.ndarray, tip: np.ndarray, width: float, color: np.ndarray = _ARROW
+) -> None:
+    """Add an arrow to a scene; `color` is red, green and blue, 0 to 1."""
     if scene.ngeom >= scene.maxgeom:
         return
     geom = scene.geoms[scene.ngeom]
-    mujoco.mjv_initGeom(
-        geom, mujoco.mjtGeom.mjGEOM_ARROW, np.zeros(3), np.zeros(3), np.eye(3).ravel(), _ARROW
-    )
-    mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_ARROW, width, tail, tip)
+    arrow, rgba = mujoco.mjtGeom.mjGEOM_ARROW, np.append(color, 1.0).astype(np.float32)
+    mujoco.mjv_initGeom(geom, arrow, np.zeros(3), np.zeros(3), np.eye(3).ravel(), rgba)
+    mujoco.mjv_connector(geom, arrow, width, tail, tip)
+    geom.category = mujoco.mjtCatBit.mjCAT_DECOR  # mjv_initGeom leaves it as it was in memory
     scene.ngeom += 1

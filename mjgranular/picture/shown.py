@@ -120,11 +120,7 @@ class Shown:
 
 
 def kind_of(sand: Sand) -> Kind:
-    """Find the kind of elements that a law has cut the geoms into.
-
-    Raises:
-        InputError: a custom law has elements of another kind.
-    """
+    """Find the kind of elements that a law has cut the geoms into."""
     fields = sand.elements.dtype.names or ()
     for mark, kind in _MARKS.items():
         if mark in fields:

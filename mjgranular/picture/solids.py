@@ -9,6 +9,7 @@ import numpy as np
 
 from mjgranular.errors import InputError
 from mjgranular.picture.outlines import frames_of, half_edges
+from mjgranular.picture.scene import add_arrow
 from mjgranular.picture.shown import INK, RED, Color, Shown, rgb, with_alpha
 from mjgranular.sand import Sand
 
@@ -72,9 +73,9 @@ def add_elements(
     _add_bodies(scene, shown)
     thickness = 0.03 * shown.sizes
     for tail, tip, width in zip(tails, tips, thickness, strict=False):
-        _add_arrow(scene, tail, tip, float(width), INK)
+        add_arrow(scene, tail, tip, float(width), rgb(INK))
     for tail, tip in zip(starts, ends, strict=True):
-        _add_arrow(scene, tail, tip, 0.006 * shown.reach, RED)
+        add_arrow(scene, tail, tip, 0.006 * shown.reach, rgb(RED))
     return scene.ngeom - before
 
 
@@ -88,6 +89,7 @@ def _add_bodies(scene: mujoco.MjvScene, shown: Shown) -> None:
     for k, middle in enumerate(shown.middles):
         geom = scene.geoms[scene.ngeom]
         mujoco.mjv_initGeom(geom, kinds[k], sizes[k], middle, frames[k].ravel(), rgba[k])
+        geom.category = mujoco.mjtCatBit.mjCAT_DECOR
         scene.ngeom += 1
 
 
@@ -132,14 +134,3 @@ def _blob_bodies(blobs: np.ndarray) -> _Bodies:
         else:
             kinds.append(mujoco.mjtGeom.mjGEOM_ELLIPSOID)
     return kinds, sizes, blobs["axes"].reshape(-1, 3, 3)
-
-
-def _add_arrow(
-    scene: mujoco.MjvScene, tail: np.ndarray, tip: np.ndarray, width: float, color: str
-) -> None:
-    arrow = mujoco.mjtGeom.mjGEOM_ARROW
-    geom = scene.geoms[scene.ngeom]
-    rgba = np.array([*rgb(color), 1.0], dtype=np.float32)
-    mujoco.mjv_initGeom(geom, arrow, np.zeros(3), np.zeros(3), np.eye(3).ravel(), rgba)
-    mujoco.mjv_connector(geom, arrow, width, tail, tip)
-    scene.ngeom += 1

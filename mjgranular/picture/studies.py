@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from mjgranular.picture.figures import PALETTE, figure
+from mjgranular.picture.figures import PALETTE, figure, panels
 
 _BLUE = PALETTE[0]
 _MOST_MARKERS = 60  # of a line; with more, the line suffices. Chosen
@@ -76,21 +76,15 @@ def draw_study(
 ) -> None:
     """Draw two outcomes against one varied field, or over two.
 
-    Args:
-        path: path of the picture.
-        columns: columns of the table; None for missing values.
-        varied: names of the one or two varied columns.
-        outcomes: columns to draw.
-        joined: whether the values form a grid.
-        title: title of the figure.
+    `columns` are those of the table, with None for missing values; `varied` has the names of one or
+    two of them. `joined` says whether the values form a grid.
     """
     inputs = [axis_of(name) for name in varied]
     if len(inputs) == 1:
-        with figure(path, 6.4, 6.0, title) as drawn:
-            axes = drawn.subplots(2, 1, sharex=True)
+        labels = (one.label for one in outcomes)
+        with panels(path, (6.4, 6.0), title, inputs[0].label, *labels) as axes:
             for axis, outcome in zip(axes, outcomes, strict=True):
                 _draw_line(axis, columns, inputs[0], outcome, joined=joined)
-            axes[1].set_xlabel(inputs[0].label)
         return
     with figure(path, 9.6, 4.2, title) as drawn:
         axes = drawn.subplots(1, 2, sharey=True)
@@ -114,7 +108,6 @@ def _draw_line(
         axes.scatter(at, values, s=12 if joined or len(at) < 1000 else 3, color=_BLUE)
     if names is not None:
         axes.set_xticks(range(len(names)), names)
-    axes.set_ylabel(y.label)
 
 
 def _draw_over(

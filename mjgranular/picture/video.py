@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+import warnings
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import mujoco
 import numpy as np
 
 from mjgranular._util.extras import require
 from mjgranular._util.files import atomic_write
-from mjgranular.errors import InputError, UnknownNameError
+from mjgranular.errors import GranularWarning, InputError, OutputError, UnknownNameError
+from mjgranular.experiment.drop import Drop, load
 from mjgranular.experiment.trajectory import Trajectory
 from mjgranular.models import Link
 from mjgranular.picture.scene import Ground, View, add_arrow, make_renderer
@@ -27,8 +30,14 @@ from mjgranular.surface import Surface
 
 _PURPOSE = "Writing a video"
 _LONGEST = 3600.0  # film [s]
+_SHORT = 0.5  # run that ends before this has a clock in milliseconds [s]
 _STILL = 5e-4  # in parts of the view: a motion too small to see
-_ARROWS = 0.5  # length of the longest arrow, in parts of the view
+_ARROWS = 1.0  # longest arrow, in parts of the view; MuJoCo 4.0 draws half of it
+_SEEN = 0.02  # length below which an arrow is omitted, in parts of the view
+_WIDTH = 0.016  # width of arrows, in parts of the view
+
+Frames = tuple[int, Iterator[np.ndarray]]
+"""Number of pictures, and the pictures, shape (height, width, 3), uint8."""
 
 
 @dataclass(frozen=True)
@@ -68,15 +77,8 @@ class Film:
             raise InputError(f"the last frame can stand for 0 to 60 seconds, got {self.hold}")
 
     def check(self, link: Link) -> None:
-        """Check that the model has the camera and that the packages are installed.
-
-        Raises:
-            UnknownNameError: it does not; lists the model's cameras.
-            MissingExtraError: gives the install line.
-        """
-        known = [camera.name for camera in link.spec().cameras]
-        if self.camera not in known:
-            raise UnknownNameError("camera", self.camera, known)
+        """Check that the model of a link has the camera."""
+        check_camera(link.spec().compile(), self.camera)
 
 
 @dataclass(frozen=True)
@@ -96,14 +98,11 @@ class Motion:
     force: np.ndarray
 
 
-class _Frame(NamedTuple):
-    """Content of a frame: state, arrows from `tails` to `tips`, shape (n, 3), and caption."""
-
-    time: float
-    qpos: Any
-    tails: np.ndarray
-    tips: np.ndarray
-    caption: tuple[str, ...]
+def check_camera(model: mujoco.MjModel, camera: str) -> None:
+    """Check that a model has a camera."""
+    known = ["free", *(model.camera(c).name for c in range(model.ncam))]
+    if camera not in known:
+        raise UnknownNameError("camera", camera, known)
 
 
 def frames_of_run(
@@ -114,19 +113,8 @@ def frames_of_run(
     stop: float | None,
     prints: Tracks | None = None,
     sand: SandSpec | None = None,
-) -> tuple[int, Iterator[np.ndarray]]:
-    """Return the pictures of a run of a link, one by one.
-
-    Args:
-        film: options of the film.
-        link: the link.
-        trajectory: the run.
-        stop: time from release to the stop [s], None if there was none.
-        prints: tracks of the run; None for sand without memory.
-        sand: the sand with memory.
-
-    Returns:
-        Number of pictures, and the pictures, shape (height, width, 3), uint8.
+) -> Frames:
+    """Return the pictures of a run of a link, slowed down up to the stop, and after it.
 
     Raises:
         RenderError: MuJoCo cannot render on this machine; says what to install.
@@ -140,60 +128,18 @@ def frames_of_run(
     place_sun(model)
     memory = None if sand is None else as_memory(fitted(model, sand).memory)
     covered = None if prints is None or memory is None else (prints, memory)
-    ground = Ground(model, None, View(np.zeros(3), link.reach), covered)
-    frames = list(_frames_of_link(film, link, trajectory, stop))
-    pictures = _render(film, model, film.camera, ground, frames, width=link.length * 0.014)
-    return len(frames), pictures
-
-
-def _frames_of_link(
-    film: Film, link: Link, trajectory: Trajectory, stop: float | None
-) -> Iterator[_Frame]:
-    end = float(trajectory.t[-1])
-    phases = [(0.0, end)]
-    if stop is not None and end > 1.05 * stop:
-        phases = [(0.0, stop), (stop, end)]
-    count, frame = max(2, round(film.seconds * film.fps)), None
-    # The largest force is an arrow of seven tenths of a link's length.
-    greatest = float(np.hypot(trajectory.F_x, trajectory.F_y).max())
-    scale = 0.7 * link.length / max(greatest, 1e-300)
-    for start, finish in phases:
-        slower = film.seconds / (finish - start)
-        for time in np.linspace(start, finish, count):
-            at = {
-                name: float(np.interp(time, trajectory.t, getattr(trajectory, name)))
-                for name in ("x", "z", "q", "x_E", "y_E", "F_x", "F_y", "y_T")
-            }
-            # In front of the link, so that the link does not hide it.
-            tail = np.array([[at["x_E"], -0.8 * link.diameter, -at["y_E"]]])
-            arrow = scale * np.array([[at["F_x"], 0.0, -at["F_y"]]])
-            seen = at["y_T"] > 0 and np.linalg.norm(arrow) > 1e-3 * link.length
-            frame = _Frame(
-                float(time),
-                (at["x"], at["z"], at["q"]),
-                tail[: int(seen)],
-                (tail + arrow)[: int(seen)],
-                (
-                    f"t = {time * 1e3:.2f} ms",
-                    f"depth of T = {max(at['y_T'], 0.0) * 1e3:.1f} mm",
-                    f"force = {np.hypot(at['F_x'], at['F_y']):.0f} N",
-                    f"slowed down {_two_digits(slower)}x",
-                ),
-            )
-            yield frame
-    assert frame is not None
-    yield from [frame] * round(film.hold * film.fps)
-
-
-def check_camera(model: mujoco.MjModel, camera: str) -> None:
-    """Check that a model has a camera.
-
-    Raises:
-        UnknownNameError: it does not; lists its cameras.
-    """
-    known = ["free", *(model.camera(c).name for c in range(model.ncam))]
-    if camera not in known:
-        raise UnknownNameError("camera", camera, known)
+    run, zero = trajectory, np.zeros(len(trajectory))
+    # In front of the link, so that the link does not hide the arrow.
+    point = np.stack([run.x_E, zero - 0.8 * link.diameter, -run.y_E], axis=1)
+    force = np.stack([run.F_x, zero, -run.F_y], axis=1)
+    qpos = np.stack([run.x, run.z, run.q], axis=1)
+    motion = Motion(run.t, qpos, point[:, None], force[:, None])
+    end = float(run.t[-1])
+    ends = [0.0, end] if stop is None or end <= 1.05 * stop else [0.0, stop, end]
+    times = [time for phase in pairwise(ends) for time in _times(film, *phase, film.seconds)]
+    times += times[-1:] * round(film.hold * film.fps)
+    view = View(np.zeros(3), link.reach)
+    return len(times), _render(film, model, motion, times, view, None, covered)
 
 
 def frames_of_model(
@@ -203,19 +149,8 @@ def frames_of_model(
     surface: Surface | None = None,
     prints: Tracks | None = None,
     memory: Memory | None = None,
-) -> tuple[int, Iterator[np.ndarray]]:
+) -> Frames:
     """Return the pictures of a run of any model, in real time or slower to fill the film.
-
-    Args:
-        film: options of the film; `camera` may be "free", which shows the whole run.
-        model: the model.
-        motion: the run.
-        surface: surface of the sand; a plane is drawn, others are geoms. None to draw none.
-        prints: tracks of the run; None for sand without memory.
-        memory: options of the memory.
-
-    Returns:
-        Number of pictures, and the pictures, shape (height, width, 3), uint8.
 
     Raises:
         InputError: the run is longer than an hour.
@@ -223,40 +158,40 @@ def frames_of_model(
         RenderError: MuJoCo cannot render on this machine; says what to install.
     """
     check_camera(model, film.camera)
-    span = float(motion.t[-1] - motion.t[0])
-    if span > _LONGEST:
-        raise InputError(f"a film of the run's {span:g} s would be longer than {_LONGEST:g} s")
-    seconds = max(film.seconds, span)
-    count = max(2, round(seconds * film.fps))
-    slower = seconds / span if span else 1.0
-    view = View.of(model, mujoco.MjData(model), motion.qpos)
-    camera = view.camera(model, film.width / film.height) if film.camera == "free" else film.camera
-    covered = None if prints is None or memory is None else (prints, memory)
-    ground = Ground(model, surface, view, covered)
-    frames = _frames_of_motion(model, motion, view, count, slower)
-    still, width = _STILL * view.radius, 0.016 * view.radius
-    pictures = _render(film, model, camera, ground, frames, width=width, still=still, follow=True)
-    return count, pictures
-
-
-def _frames_of_motion(
-    model: mujoco.MjModel, motion: Motion, view: View, count: int, slower: float
-) -> Iterator[_Frame]:
-    greatest = float(np.linalg.norm(motion.force, axis=2).max())
-    scale = _ARROWS * view.radius / max(greatest, 1e-300)
-    pace = "real time" if slower < 1.05 else f"slowed down {_two_digits(slower)}x"
-    for time in np.linspace(motion.t[0], motion.t[-1], count):
-        k = int(np.searchsorted(motion.t, time, side="right")) - 1
-        arrows = scale * motion.force[k]
-        seen = np.linalg.norm(arrows, axis=1) > 0.02 * view.radius
-        total = float(np.linalg.norm(motion.force[k].sum(axis=0)))
-        yield _Frame(
-            float(time),
-            _between(model, motion, k, float(time)),
-            motion.point[k][seen],
-            (motion.point[k] + arrows)[seen],
-            (f"t = {time:.3f} s", f"force of the sand = {total:.0f} N", pace),
+    begin, end = float(motion.t[0]), float(motion.t[-1])
+    if end - begin > _LONGEST:
+        raise InputError(
+            f"a film of the run's {end - begin:g} s would be longer than {_LONGEST:g} s"
         )
+    view = View.of(model, mujoco.MjData(model), motion.qpos)
+    times = _times(film, begin, end, max(film.seconds, end - begin))
+    covered = None if prints is None or memory is None else (prints, memory)
+    return len(times), _render(film, model, motion, times, view, surface, covered)
+
+
+def frames_of_drop(film: Film, drop: Drop, motion: Motion, prints: Tracks | None) -> Frames:
+    """Return the pictures of a run of a drop.
+
+    Raises:
+        OutputError: the samples are not of the model.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", GranularWarning)  # the run has shown them
+        model, _ = load(drop)
+    if motion.qpos.shape[1] != model.nq:
+        raise OutputError(
+            f"the samples have {motion.qpos.shape[1]} positions, {drop.title} has {model.nq}: it "
+            "is not the model that ran"
+        )
+    memory = as_memory(fitted(model, drop.sand).memory)
+    return frames_of_model(film, model, motion, drop.surface, prints, memory)
+
+
+def _times(film: Film, begin: float, end: float, seconds: float) -> list[tuple[float, float]]:
+    """Return for each frame the time [s], and how much slower than real time it is shown."""
+    count = max(2, round(seconds * film.fps))
+    slower = seconds / (end - begin) if end > begin else 1.0
+    return [(float(time), slower) for time in np.linspace(begin, end, count)]
 
 
 def _between(model: mujoco.MjModel, motion: Motion, k: int, time: float) -> np.ndarray:
@@ -273,68 +208,65 @@ def _between(model: mujoco.MjModel, motion: Motion, k: int, time: float) -> np.n
 def _render(
     film: Film,
     model: mujoco.MjModel,
-    camera: str | mujoco.MjvCamera,
-    ground: Ground,
-    frames: Iterable[_Frame],
-    *,
-    width: float,
-    still: float = 0.0,
-    follow: bool = False,
+    motion: Motion,
+    times: list[tuple[float, float]],
+    view: View,
+    surface: Surface | None,
+    covered: tuple[Tracks, Memory] | None,
 ) -> Iterator[np.ndarray]:
-    """Render frames.
-
-    `width` is that of arrows [m]. Motions up to `still` [m] are not rendered. Cameras and lights
-    that track a center of mass do so if `follow` is true.
-    """
+    """Yield the pictures at these times; invisible changes are not rendered."""
     data, moving = mujoco.MjData(model), moving_geoms(model)
-    caption, renderer = _Captions(film), make_renderer(model, film.width, film.height)
+    ground = Ground(model, surface, view, covered)
+    font = require("PIL.ImageFont", extra="video", purpose=_PURPOSE)
+    font = font.load_default(size=max(10, film.height // 30))
+    camera = view.camera(model, film.width / film.height) if film.camera == "free" else film.camera
+    greatest = float(np.linalg.norm(motion.force, axis=2).max())
+    scale = _ARROWS * view.radius / max(greatest, 1e-300)
     shown, picture = np.zeros((0, 3)), np.zeros(0)
+    renderer = make_renderer(model, film.width, film.height)
     try:
-        for frame in frames:
-            data.qpos[:] = frame.qpos
+        for time, slower in times:
+            k = int(np.searchsorted(motion.t, time, side="right")) - 1
+            data.qpos[:] = _between(model, motion, k, time)
             mujoco.mj_kinematics(model, data)
-            if follow:
-                mujoco.mj_comPos(model, data)
+            mujoco.mj_comPos(model, data)
             mujoco.mj_camlight(model, data)
-            now = np.concatenate([data.geom_xpos, data.geom_xmat.reshape(-1, 3), frame.tips])
-            moved = now.shape != shown.shape or np.abs(now - shown).max() > still
-            if moved or ground.moves(frame.time):
-                ground.lay(frame.time, data.geom_xpos[moving].mean(axis=0))
+            arrows = scale * motion.force[k]
+            seen = np.linalg.norm(arrows, axis=1) > _SEEN * view.radius
+            tails, tips = motion.point[k][seen], (motion.point[k] + arrows)[seen]
+            now = np.concatenate([data.geom_xpos, data.geom_xmat.reshape(-1, 3), tips])
+            moved = now.shape != shown.shape or np.abs(now - shown).max() > _STILL * view.radius
+            if moved or ground.moves(time):
+                ground.lay(time, data.geom_xpos[moving].mean(axis=0))
                 renderer.update_scene(data, camera=camera)
                 ground.show(renderer.scene)
-                for tail, tip in zip(frame.tails, frame.tips, strict=True):
-                    add_arrow(renderer.scene, tail, tip, width)
+                for tail, tip in zip(tails, tips, strict=True):
+                    add_arrow(renderer.scene, tail, tip, _WIDTH * view.radius)
                 shown, picture = now, renderer.render()
-            yield caption.put(picture, frame.caption)
+            total = float(np.linalg.norm(motion.force[k].sum(axis=0)))
+            pace = "real time" if slower < 1.05 else f"slowed down {_two_digits(slower)}x"
+            clock = f"{time * 1e3:.2f} ms" if times[-1][0] < _SHORT else f"{time:.3f} s"
+            text = f"t = {clock}\nforce of the sand = {total:.0f} N\n{pace}"
+            yield _captioned(picture, text, font)
     finally:
         renderer.close()
 
 
-class _Captions:
-    """Captions in a corner of pictures."""
-
-    def __init__(self, film: Film) -> None:
-        self._image = require("PIL.Image", extra="video", purpose=_PURPOSE)
-        self._draw = require("PIL.ImageDraw", extra="video", purpose=_PURPOSE)
-        font = require("PIL.ImageFont", extra="video", purpose=_PURPOSE)
-        self._size = max(10, film.height // 30)
-        self._font = font.load_default(size=self._size)
-
-    def put(self, picture: np.ndarray, lines: tuple[str, ...]) -> np.ndarray:
-        """Return a copy of the picture with these lines in a corner."""
-        image = self._image.fromarray(picture)
-        pen = self._draw.Draw(image)
-        pen.multiline_text(
-            (image.width - self._size, self._size),
-            "\n".join(lines),
-            fill=(30, 30, 30),
-            stroke_width=max(1, self._size // 10),
-            stroke_fill=(240, 240, 240),
-            font=self._font,
-            anchor="ra",
-            align="right",
-        )
-        return np.asarray(image)
+def _captioned(picture: np.ndarray, text: str, font: Any) -> np.ndarray:
+    """Return a copy of a picture with lines in a corner."""
+    image = require("PIL.Image", extra="video", purpose=_PURPOSE).fromarray(picture)
+    pen = require("PIL.ImageDraw", extra="video", purpose=_PURPOSE).Draw(image)
+    pen.multiline_text(
+        (image.width - font.size, font.size),
+        text,
+        fill=(30, 30, 30),
+        stroke_width=max(1, int(font.size) // 10),
+        stroke_fill=(240, 240, 240),
+        font=font,
+        anchor="ra",
+        align="right",
+    )
+    return np.asarray(image)
 
 
 def _two_digits(value: float) -> str:
@@ -342,11 +274,7 @@ def _two_digits(value: float) -> str:
 
 
 def need_mediapy(purpose: str) -> Any:
-    """Return the module mediapy, with the ffmpeg of imageio-ffmpeg.
-
-    Raises:
-        MissingExtraError: a package is not installed; gives the install line.
-    """
+    """Return the module mediapy, with the ffmpeg of imageio-ffmpeg."""
     mediapy = require("mediapy", extra="video", purpose=purpose)
     ffmpeg = require("imageio_ffmpeg", extra="video", purpose=purpose)
     mediapy.set_ffmpeg(ffmpeg.get_ffmpeg_exe())
@@ -361,19 +289,7 @@ def write_video(
     *,
     progress: Callable[[int, int], None] | None = None,
 ) -> None:
-    """Write pictures as an MP4 (H.264).
-
-    Args:
-        path: path of the file.
-        film: options of the film.
-        count: number of pictures.
-        pictures: from `frames_of_run` or `frames_of_model`.
-        progress: called with the number of frames written, and the total.
-
-    Raises:
-        MissingExtraError: a package for video is not installed; gives the install line.
-        RenderError: MuJoCo cannot render on this machine.
-    """
+    """Write pictures as an MP4 (H.264)."""
     mediapy = need_mediapy(_PURPOSE)
     first = next(pictures)  # fails on a machine that cannot render, before a file is opened
     shape = (film.height, film.width)

@@ -38,11 +38,7 @@ class Switch:
 
 
 def check_display() -> None:
-    """Check that a window can be opened: without one MuJoCo's viewer waits forever.
-
-    Raises:
-        RenderError: it cannot.
-    """
+    """Check that a window can be opened: without one MuJoCo's viewer waits forever."""
     shown = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
     if sys.platform.startswith("linux") and not shown:
         raise RenderError(f"a window needs a display (DISPLAY is not set); {_FILM}")
@@ -75,11 +71,7 @@ def _opens_a_window() -> bool:
 
 @contextmanager
 def opened(model: mujoco.MjModel, data: mujoco.MjData, switch: Switch) -> Iterator[Any]:
-    """Open MuJoCo's viewer, and close it at the end.
-
-    Raises:
-        RenderError: it does not open.
-    """
+    """Open MuJoCo's viewer, and close it at the end."""
     others = set(threading.enumerate())
     try:
         viewer: Any = importlib.import_module("mujoco.viewer")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import tempfile
+import zlib
 from array import array
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -74,11 +75,7 @@ class Journal:
         return self.fault() is None
 
     def begin(self) -> None:
-        """Open the file: results of the same request stay, all else in it is deleted.
-
-        Raises:
-            OutputError: it cannot be written.
-        """
+        """Open the file: results of the same request stay, all else in it is deleted."""
         if self._path is None:
             self._file = tempfile.TemporaryFile()  # noqa: SIM115 - open as long as the journal
             return
@@ -91,11 +88,7 @@ class Journal:
             raise self._as_output_error(error) from None
 
     def keep(self, results: Sequence[tuple[int, Mapping[str, Any]]]) -> None:
-        """Add results, all in one write.
-
-        Raises:
-            OutputError: they cannot be written.
-        """
+        """Add results, all in one write."""
         if not results:
             return
         if self._file is None:
@@ -107,7 +100,7 @@ class Journal:
                 file.write(_line(self._asked))
             for index, row in results:
                 self._places[index] = file.tell()
-                file.write(_line({"index": index, "row": row}))
+                file.write(_line(_entry(index, row)))
             file.flush()
         except OSError as error:
             raise self._as_output_error(error) from None
@@ -150,9 +143,14 @@ class Journal:
 
 def _index(content: Any, size: int) -> int:
     """Return the number of the task of a line of the file."""
-    if "row" not in content or not 0 <= content["index"] < size:
+    if not 0 <= content["index"] < size or content != _entry(content["index"], content["row"]):
         raise ValueError
     return content["index"]
+
+
+def _entry(index: int, row: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a line of the file, with a checksum of the result."""
+    return {"index": index, "row": row, "crc": zlib.crc32(_line(row))}
 
 
 def _difference(there: Any, asked: Mapping[str, Any]) -> str:

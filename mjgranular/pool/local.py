@@ -43,11 +43,6 @@ class Processes:
     """Processes of this machine, each with one task at a time.
 
     If one dies, the tasks of all of them are lost, and other processes start.
-
-    Args:
-        function: function of the tasks; the processes import it by its name.
-        shared: data for all of them.
-        count: number of processes.
     """
 
     def __init__(self, function: Function, shared: Any, count: int) -> None:

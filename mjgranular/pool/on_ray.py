@@ -27,15 +27,6 @@ class RayPool:
 
     An existing session of this process is used and left open; else one is started, and ended with
     the work.
-
-    Args:
-        function: function of the tasks; the workers import its module.
-        shared: data for all of them, put into the object store once.
-        workers: address and number of workers.
-
-    Raises:
-        MissingExtraError: Ray is not installed.
-        InputError: no cluster answers at the address, or it is one of another version of Ray.
     """
 
     def __init__(self, function: Function, shared: Any, workers: Workers) -> None:
@@ -82,11 +73,7 @@ class RayPool:
 
 
 def _start(ray: Any, workers: Workers) -> None:
-    """Start Ray on this machine, or connect to the cluster at the address.
-
-    Raises:
-        InputError: no cluster answers at the address, or it is one of another version of Ray.
-    """
+    """Start Ray on this machine, or connect to the cluster at the address."""
     if workers.address is None:
         options = {
             "num_cpus": workers.count or os.cpu_count(),

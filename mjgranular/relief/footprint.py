@@ -60,13 +60,7 @@ class Footprint:
 
 
 def surroundings_of(model: mujoco.MjModel, geoms: Sequence[int], memory: Memory) -> float:
-    """Return the distance up to which sand counts for the level around a point [m].
-
-    Args:
-        model: the model.
-        geoms: ids of the geoms that meet the sand.
-        memory: which may set this distance.
-    """
+    """Return the distance up to which sand counts for the level around a point [m]."""
     if memory.surroundings is not None:
         return memory.surroundings
     return max(geom_width(model, geom) for geom in geoms) + 4 * memory.cell
@@ -77,11 +71,6 @@ def fitting(model: mujoco.MjModel, geoms: Sequence[int], memory: Memory) -> Memo
 
     It must hold the surroundings of its widest geom, and everything that meets the sand at qpos0,
     with a quarter of a meter on each side.
-
-    Args:
-        model: the model.
-        geoms: ids of the geoms that meet the sand.
-        memory: its memory.
     """
     needed = WINDOW * surroundings_of(model, geoms, memory), spread_of(model, geoms) + _BESIDE
     return memory.reaching(max(needed))
@@ -110,9 +99,6 @@ def footprint_of(
         geoms: their ids.
         elements: elements of the law.
         cell: side of a cell [m].
-
-    Raises:
-        InputError: too many points.
     """
     parts: dict[int, list[np.ndarray]] = {int(geom): [] for geom in elements["geom"]}
     if "half_length" in (elements.dtype.names or ()):

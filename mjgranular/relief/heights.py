@@ -29,15 +29,7 @@ class Heights:
 
 
 def checked_state(saved: Any, size: int) -> np.ndarray:
-    """Check a stored state of a surface that a user passes back.
-
-    Args:
-        saved: numbers of the state.
-        size: required length.
-
-    Raises:
-        InputError: the length differs, or some numbers are not finite.
-    """
+    """Check a stored state of a surface that a user passes back."""
     try:
         state = np.asarray(saved, float)
     except (TypeError, ValueError):
@@ -63,9 +55,6 @@ def heights_of(state: np.ndarray, memory: Memory, middle: tuple[float, float]) -
         state: state of the relief (`relief.grid`).
         memory: memory of the relief.
         middle: center of the square, along the axes of the plane [m].
-
-    Raises:
-        InputError: the center is not two numbers.
     """
     size = memory.size
     i, j = square_about(memory, middle)
@@ -76,15 +65,7 @@ def heights_of(state: np.ndarray, memory: Memory, middle: tuple[float, float]) -
 
 
 def square_about(memory: Memory, middle: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
-    """Return rows and columns of the nodes of the square around a point that may be stored.
-
-    Args:
-        memory: memory of the relief.
-        middle: center along the axes of the plane [m].
-
-    Raises:
-        InputError: the center is not two numbers.
-    """
+    """Return rows and columns of the nodes of the square around a point that may be stored."""
     numbers = np.asarray(middle)
     if numbers.shape != (2,) or numbers.dtype.kind not in "iuf" or not np.isfinite(numbers).all():
         raise InputError(f"the middle is two numbers [m], not {shown(middle)}")

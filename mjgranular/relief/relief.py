@@ -104,12 +104,7 @@ class Relief(Surface):
 
 
 def frame_of(surface: Surface, record: Any) -> dict[str, Any]:
-    """Return the plane under the heights: its origin and axes, world, and half its extents [m].
-
-    Args:
-        surface: the surface without memory.
-        record: its record.
-    """
+    """Return the plane under the heights: its origin and axes, world, and half its extents [m]."""
     if isinstance(surface, Plane):
         normal = record["normal"]
         along = np.array([1.0, 0.0, 0.0])

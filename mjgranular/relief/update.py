@@ -147,12 +147,7 @@ def update_kernel(probe: Any, is_flat: bool, scene_dtype: np.dtype) -> Any:
 
 
 def update_program(surface: Surface, scene_dtype: np.dtype) -> int:
-    """Return the address of the program that updates a relief; 0 for a surface without memory.
-
-    Args:
-        surface: the surface.
-        scene_dtype: record of law and surface.
-    """
+    """Return the address of the program that updates a relief; 0 for a surface without memory."""
     if not isinstance(surface, Relief):
         return 0
     update = update_kernel(type(surface.base).probe, surface.is_flat, scene_dtype)

@@ -32,33 +32,17 @@ _SHOWN = 3  # number of geom groups that viewers and renderers show by default
 _DEFAULT = (0.5, 0.5, 0.5, 1.0)  # color of a geom whose color is not set
 
 
-def _tiles() -> np.ndarray:
-    """Return rectangles side by side, small in the center: light is computed at their corners.
+_CORNERS = np.array([-64.0, -10.0, -3.0, -1.0, 0.0, 1.0, 3.0, 10.0, 64.0])
+_MIDDLES, _HALVES = (_CORNERS[1:] + _CORNERS[:-1]) / 2, np.diff(_CORNERS) / 2
+_GRID = [np.meshgrid(x, x, indexing="ij") for x in (_MIDDLES, _HALVES)]
 
-    Returns:
-        Center and half the edges of each, along both axes of the plane, shape (n, 4).
-    """
-    corners = np.array([-64.0, -10.0, -3.0, -1.0, 0.0, 1.0, 3.0, 10.0, 64.0])
-    middles, halves = (corners[1:] + corners[:-1]) / 2, np.diff(corners) / 2
-    grid = [
-        (x, y, a, b)
-        for x, a in zip(middles, halves, strict=True)
-        for y, b in zip(middles, halves, strict=True)
-    ]
-    return np.array(grid)
-
-
-TILES = _tiles()
-"""Rectangles of a plane, in units of twice the radius of what moves."""
+TILES = np.stack([*_GRID[0], *_GRID[1]], axis=-1).reshape(-1, 4)
+"""Rectangles of a plane, in units of twice the radius of what moves: center and half the edges of
+each, along both axes. They are small in the center, as light is computed at their corners."""
 
 
 def add_material(spec: mujoco.MjSpec, *, tile: float = TILE) -> str:
-    """Add the material of sand to a model, unless it has it; return its name.
-
-    Args:
-        spec: the model to be.
-        tile: edge of the grain texture [m].
-    """
+    """Add the material of sand to a model, unless it has it; return its name."""
     if spec.material(MATERIAL) is None:
         spec.add_texture(
             name=MATERIAL,

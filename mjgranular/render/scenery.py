@@ -25,10 +25,6 @@ def add_scenery(spec: mujoco.MjSpec, surface: Surface) -> None:
 
     A bed or height field without a color becomes sand; an infinite plane is not a geom, and is
     drawn into the scene (`SandMaterial`, or by the plugin).
-
-    Args:
-        spec: the model to be; it is changed.
-        surface: surface of the sand.
     """
     add_daylight(spec)
     material = add_material(spec)
@@ -42,9 +38,6 @@ def add_daylight(spec: mujoco.MjSpec) -> None:
     Lights of the model are switched off: lights for a laboratory floor make sand too dark or too
     bright. The sun is low enough to show relief, casts the only shadows, and follows the model.
     `place_sun` sharpens the shadows once the model is compiled.
-
-    Args:
-        spec: the model to be; it is changed.
     """
     if known := spec.light(_SUN):  # a model that was written with its scenery
         spec.delete(known)

@@ -99,7 +99,7 @@ def add_rectangle(canvas, u0, u1, v0, v1):
 
 
 @compiled
-def line_around(canvas, axis, number, begin, end):
+def line_around(canvas, number, begin, end):
     """Return end `number`, 0 to 7, of the rectangles around a window from `begin` to `end` [m]."""
     if number < 3:
         return begin - _BEYOND[2 - number] * canvas.unit
@@ -135,13 +135,11 @@ def add_rectangles(canvas, blocks, side, u, v, width):
     for a in range(7):
         for b in range(7):
             if a != 3 or b != 3:
-                add_rectangle(
-                    canvas,
-                    line_around(canvas, 0, a, u, u + side * width),
-                    line_around(canvas, 0, a + 1, u, u + side * width),
-                    line_around(canvas, 1, b, v, v + side * width),
-                    line_around(canvas, 1, b + 1, v, v + side * width),
-                )
+                u0 = line_around(canvas, a, u, u + side * width)
+                u1 = line_around(canvas, a + 1, u, u + side * width)
+                v0 = line_around(canvas, b, v, v + side * width)
+                v1 = line_around(canvas, b + 1, v, v + side * width)
+                add_rectangle(canvas, u0, u1, v0, v1)
 
 
 @compiled

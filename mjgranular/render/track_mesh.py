@@ -43,14 +43,7 @@ def relief_of_base(base: Surface, memory: Memory) -> Relief:
 def make_canvas(
     record: np.ndarray, memory: Memory, unit: float, region: Region | None = None
 ) -> np.ndarray:
-    """Return the description of a drawing, `CANVAS_DTYPE` without addresses, shape (1,).
-
-    Args:
-        record: record of the relief.
-        memory: memory of the sand.
-        unit: size of the rectangles of an infinite plane [m].
-        region: drawn region; None for everything.
-    """
+    """Return the description of a drawing, `CANVAS_DTYPE` without addresses, shape (1,)."""
     if region is None and np.isfinite(record["half_along"][0]):
         half = float(record["half_along"][0]), float(record["half_across"][0])
         names = record["base"].dtype.names or ()
@@ -86,7 +79,6 @@ class TrackMesh:
         memory: its memory.
         unit: edge of the grain texture, and of rectangles far away [m].
         region: drawn region; None for everything.
-        sand: name of the skin's sand.
     """
 
     def __init__(
@@ -97,12 +89,11 @@ class TrackMesh:
         *,
         unit: float,
         region: Region | None = None,
-        sand: str = "sand",
     ) -> None:
         relief = relief_of_base(base, memory)
         self._record = record = relief.record(model)
         self._shape = entry(shape_of(relief, record["base"].dtype), SIGNATURE)
-        self._skin, self._unit = skin_of(model, sand), unit
+        self._skin, self._unit = skin_of(model), unit
         self._canvas = canvas = make_canvas(record, memory, unit, region)
         self._blocks, rectangles = room_of(canvas)
         self._rectangles = rectangles.reshape(-1, 4)
@@ -115,12 +106,7 @@ class TrackMesh:
             model.geom_group[geom] = NOT_SHOWN
 
     def lay(self, state: np.ndarray, middle: np.ndarray) -> None:
-        """Fit the skin to the sand; call it before a scene is updated.
-
-        Args:
-            state: state of the sand's memory (`relief.grid`).
-            middle: center of the visible region [m], world.
-        """
+        """Fit the skin to the sand; call it before a scene is updated."""
         canvas, record = self._canvas[0], self._record[0]
         if not canvas["held"]:
             away = middle - record["origin"]

@@ -54,11 +54,7 @@ class Tracks:
         return bool(first <= last and self.end[last] > (self.end[first - 1] if first else 0))
 
     def profile(self, memory: Memory) -> tuple[np.ndarray, np.ndarray]:
-        """Return positions along the sand's first axis and final heights there [m], where stored.
-
-        Args:
-            memory: memory of the sand.
-        """
+        """Return stored positions along the sand's first axis, and final heights there [m]."""
         along = {int(i): 0.0 for i in self.node[:, 0]}
         for (i, j), height in zip(self.node.tolist(), self.height.tolist(), strict=True):
             if j == 0:
@@ -72,11 +68,7 @@ class Tracks:
 
     @classmethod
     def from_arrays(cls, arrays: dict[str, np.ndarray]) -> Tracks:
-        """Restore the tracks that `arrays` returned.
-
-        Raises:
-            ValueError: the arrays do not match.
-        """
+        """Restore the tracks that `arrays` returned."""
         found = cls(*(arrays[name] for name in cls.names()))
         t, end, node, height = found.t, found.end, found.node, found.height
         steady = end.dtype.kind in "iu" and (np.diff(end, prepend=0) >= 0).all()
@@ -91,13 +83,7 @@ class Tracks:
 
 
 class TrackRecorder:
-    """Record the tracks of a run while it is simulated.
-
-    Args:
-        sand: sand with memory.
-        data: the simulation.
-        duration: duration of the run [s].
-    """
+    """Record the tracks of a run while it is simulated."""
 
     def __init__(self, sand: Sand, data: mujoco.MjData, duration: float) -> None:
         assert sand.memory is not None
@@ -111,12 +97,7 @@ class TrackRecorder:
         self._changes: list[tuple[np.ndarray, np.ndarray]] = []
 
     def look(self, t: float, *, last: bool = False) -> None:
-        """Sample the sand if a sample is due.
-
-        Args:
-            t: present time [s].
-            last: whether to sample in any case.
-        """
+        """Sample the sand if a sample is due."""
         if t < self._next and not last:
             return
         self._next = t + self._apart
@@ -151,10 +132,6 @@ class TrackRecorder:
 
 class Replay:
     """Heights at any time of a run, as the state of a memory.
-
-    Args:
-        prints: tracks of the run.
-        memory: memory of its sand.
 
     Attributes:
         state: state of the relief (`relief.grid`), at the last requested time.

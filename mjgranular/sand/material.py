@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
+from dataclasses import MISSING, fields
 
 import mujoco
 import numpy as np
@@ -70,13 +71,21 @@ def law_of(law: str | Law | type[Law] | None, medium: Medium) -> Law:
 
     Raises:
         UnknownNameError: no such law, or no constants for it; names the media that have them.
+        InputError: no medium has constants for it; names those that it needs.
     """
     try:
         return get_law(law, medium)
     except UnknownNameError as error:
-        others = [name for name in media if has_constants(media[name], law)]
-        if error.kind == "law" or not others:
+        if error.kind == "law" or law is None or isinstance(law, Law):
             raise
+        kind = law_in(law)[0] if isinstance(law, str) else law
+        others = [name for name in media if has_constants(media[name], kind)]
+        if not others:
+            known = fields(kind)  # pyright: ignore[reportArgumentType]
+            needed = [f"{field.name}=..." for field in known if field.default is MISSING]
+            raise InputError(
+                f"no medium has constants for the law {kind.name!r}: give it {', '.join(needed)}"
+            ) from None
         hint = f"media with constants for it: {listed(others)}"
         raise UnknownNameError(error.kind, error.name, error.known, hint, guess=False) from None
 

@@ -29,11 +29,6 @@ def find_floors(model: mujoco.MjModel, geoms: Sequence[int], surface: Surface) -
     to the sand, and to what is fixed to the world and collides with that geom. Ground that is hit
     before the sand carries the geom.
 
-    Args:
-        model: the model.
-        geoms: ids of the geoms that meet the sand.
-        surface: place of the sand: a plane, or geoms of the model. Other surfaces are not checked.
-
     Returns:
         Their ids, in order.
     """
@@ -80,11 +75,6 @@ class FloorWatch:
 
     `find_floors` finds ground above the sand at `qpos0`. This finds the rest: a floor just under
     the surface, which feet reach, and ground that bodies walk onto.
-
-    Args:
-        model: the model.
-        geoms: ids of the geoms that meet the sand.
-        surface: place of the sand.
 
     Attributes:
         floors: ids of the geoms that have carried bodies so far.

@@ -15,12 +15,6 @@ def find_geom(model: mujoco.MjModel, name: str, kind: mujoco.mjtGeom, word: str)
 
     Its contacts are disabled in the model: bodies meet the sand only through its law.
 
-    Args:
-        model: the model.
-        name: name of the geom.
-        kind: its required type.
-        word: its purpose, for messages: "bed", "height field".
-
     Raises:
         UnknownNameError: no such geom; lists those of the type.
         InputError: a geom of another type, on a body that moves, or in an explicit contact pair.
@@ -42,10 +36,6 @@ def find_geom(model: mujoco.MjModel, name: str, kind: mujoco.mjtGeom, word: str)
 
 def replace_geoms(model: mujoco.MjModel, geoms: Choice) -> list[int]:
     """Disable the contacts of geoms that the sand replaces; return their ids.
-
-    Args:
-        model: the model.
-        geoms: names or ids, such as that of a floor.
 
     Raises:
         UnknownNameError: no such geom; lists the existing ones.

@@ -69,9 +69,6 @@ class Surface(ABC):
 
         Returns:
             For each field that changes its change [1/m], in the shape of the field.
-
-        Raises:
-            InputError: this kind of surface cannot rise.
         """
         raise InputError(f"a surface of the kind {type(self).__name__} cannot be moved")
 

@@ -297,6 +297,11 @@ def test_rows_are_kept_as_soon_as_they_are_finished(tmp_path):
     assert kept(SWEEP, tmp_path) is None
     (tmp_path / UNFINISHED).write_text('{"asked"')  # killed at its first line
     assert kept(SWEEP, tmp_path) == {}
+    keep(SWEEP, tmp_path, (2, {**whole[2], "speed": 7.0}))
+    altered = (tmp_path / UNFINISHED).read_text().replace('"speed": 7.0', '"speed": 8.0')
+    (tmp_path / UNFINISHED).write_text(altered)
+    assert journal_of(SWEEP, tmp_path).fault() == "it is damaged"
+    (tmp_path / UNFINISHED).unlink()
     keep(SWEEP, tmp_path, (2, whole[2]))
     with (tmp_path / UNFINISHED).open("a") as file:
         file.write('{"index": 1, "ro')  # killed while it wrote

@@ -51,14 +51,18 @@ def test_tables(sand):
 def films(monkeypatch):
     mediapy = pytest.importorskip("mediapy")
     found = []
-    monkeypatch.setattr(mediapy, "show_video", lambda film, fps: found.append((len(film), fps)))
+    monkeypatch.setattr(
+        mediapy,
+        "show_video",
+        lambda film, fps: found.append((len(film), fps, film[0].shape[2])),
+    )
     return found
 
 
 def test_pictures_are_played(films):
     mjgranular.show(np.zeros((7, 16, 16, 3), np.uint8), fps=12)
-    mjgranular.show(np.zeros((16, 16, 3), np.uint8) for _ in range(3))
-    assert films == [(7, 12), (3, 30)]
+    mjgranular.show(np.zeros((16, 16, 4), np.uint8) for _ in range(3))
+    assert films == [(7, 12, 3), (3, 30, 3)]
 
 
 @pytest.mark.parametrize("film", [[], 7, [1, 2], [np.zeros((2, 2, 3)), np.zeros((3, 2, 3))]])
@@ -73,5 +77,5 @@ def test_results_are_filmed(films, tmp_path):
     mjgranular.show(run_drop(Drop(path, duration=0.02)), seconds=0.2, fps=10)
     impact = run_impact(Impact(speed=2.0, timestep=1e-4, duration=0.02))
     mjgranular.show(impact, seconds=0.2, fps=10)
-    assert films[0] == (2, 10)
+    assert films[0] == (2, 10, 3)
     assert films[1][0] >= 2

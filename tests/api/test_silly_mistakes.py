@@ -178,6 +178,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
         "no medium ['play_sand']; there are: "
         "glass_beads, glass_beads_3mm_close, ... did you mean play_sand?",
     ),
+    "dict for medium": (lambda: sand(medium={"density": 1500}), "a medium is a Medium, its name"),
     "missing medium file": (
         lambda: sand(medium="my_sand.yaml"),
         "cannot read the medium my_sand.yaml",

@@ -56,6 +56,7 @@ def test_what_moves_unfelt_is_named(door, part, told):
     with pytest.warns(UnfeltWarning, match=told) as caught:
         door(text(BALL, part))
     assert len({str(warning.message) for warning in caught}) == 1
+    assert {warning.filename for warning in caught} == {__file__}
 
 
 def test_a_flex_without_a_name_has_its_number():

@@ -95,6 +95,7 @@ def test_it_stays_through_xml_and_attaching() -> None:
 
 def test_it_can_be_left_away() -> None:
     spec = spec_of('<geom name="floor" type="plane" size="1 1 1"/>')
+    assert add_sand(spec_of(), draw="surface forces", **SAND).config["draw"] == "surface forces"
     add_sand(spec, draw=(), instead_of="floor", **SAND)
     assert spec.geom("floor").group == 0
     model = spec.compile()

@@ -198,6 +198,12 @@ def test_data_that_cannot_be(said, place, capsys):
     assert not (place / "m.yaml").exists()
 
 
+def test_a_column_that_occurs_twice(place, capsys):
+    t, depth = curve(1.0)
+    write(place / "slow.csv", {"time": t, "depth": depth, "depth [mm]": depth})
+    assert "slow.csv has 2 columns 'depth': rename one" in refused(capsys, *FREE)
+
+
 OPTIONS = {
     "'stifness'; there are: strength": (
         "--law", "depth_velocity", "--free", "stifness",

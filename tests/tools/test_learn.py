@@ -28,7 +28,7 @@ from mjgranular.learn.agents import Random, Zero
 from mjgranular.learn.checkpoint import Normalizer
 from mjgranular.learn.evaluate import evaluate, mean_of, parse_variant, run_episodes
 from mjgranular.learn.policies import POLICY_FILES, load_policy
-from mjgranular.learn.run import Run, begin_run, open_run, read_curve
+from mjgranular.learn.run import Run, begin_run, open_run
 from mjgranular.learn.settings import (
     FOLDER,
     Settings,
@@ -110,8 +110,9 @@ def test_a_killed_and_resumed_run_is_the_uninterrupted_one_to_the_last_bit(algor
     np.testing.assert_array_equal(weights(broken), weights(whole))
     a, b = (load_policy(run.path).normalizer for run in (whole, broken))
     np.testing.assert_array_equal(a.mean, b.mean)
-    rows = [read_curve(run.path / "curve.csv") for run in (whole, broken)]
-    assert len(rows[0]) >= 2
+    texts = [(run.path / "curve.csv").read_text() for run in (whole, broken)]
+    rows = [[line.split(",") for line in text.splitlines()] for text in texts]
+    assert len(rows[0]) >= 3
     assert [(row[0], *row[2:]) for row in rows[0]] == [(row[0], *row[2:]) for row in rows[1]]
 
 
@@ -142,6 +143,10 @@ def test_damaged_checkpoints_are_skipped_with_one_sentence(tmp_path):
     with pytest.warns(GranularWarning, match="cannot be read"):
         assert train(run).progress.steps == 512
     assert run.newest_checkpoint() == newest  # made anew
+    (run.path / "policy.zip").write_bytes(b"not a zip")
+    load_policy(run.path)  # the newest checkpoint's
+    with pytest.raises(OutputError, match=r"policy.zip is damaged"):
+        load_policy(run.path / "policy.zip")
 
 
 def test_one_of_two_that_begin_the_same_run_is_refused(tmp_path):

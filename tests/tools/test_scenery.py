@@ -9,6 +9,7 @@ import pytest
 
 from mjgranular import Bed, HeightField, Plane
 from mjgranular.experiment.drop import Drop, load, run_drop
+from mjgranular.picture.scene import add_arrow
 from mjgranular.picture.video import Film, Motion, frames_of_model
 from mjgranular.render.material import MATERIAL, SandMaterial, radius_of
 from mjgranular.render.scenery import add_daylight, add_scenery
@@ -210,3 +211,11 @@ def test_a_sky_that_a_material_shows_stays_a_texture():
     model = spec.compile()
     assert model.tex("sky").type == mujoco.mjtTexture.mjTEXTURE_CUBE
     assert (model.tex_type == mujoco.mjtTexture.mjTEXTURE_SKYBOX).sum() == 1
+
+
+def test_an_arrow_is_a_decoration_whatever_was_in_memory():
+    scene = mujoco.MjvScene(mujoco.MjModel.from_xml_string("<mujoco/>"), maxgeom=1)
+    scene.geoms[0].category = -1717986918
+    add_arrow(scene, np.zeros(3), np.ones(3), 0.1)
+    assert scene.ngeom == 1
+    assert scene.geoms[0].category == mujoco.mjtCatBit.mjCAT_DECOR

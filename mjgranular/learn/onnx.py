@@ -1,0 +1,129 @@
+"""Export policies to ONNX, for robots and other simulators."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mjgranular._util.extras import require
+from mjgranular.errors import InputError, OutputError
+from mjgranular.learn.policies import Policy
+
+_OPSET = 17  # of ONNX; ONNX Runtime reads it since 1.12
+_FORMAT = 8  # of the file, likewise
+_ACTIVATIONS = {"Tanh": "Tanh", "ReLU": "Relu", "ELU": "Elu"}  # PyTorch's names, ONNX's
+_TOLERANCE = 1e-5  # of actions, in units of their range; weights are in single precision
+
+
+def export_onnx(policy: Policy, file: str | Path) -> Path:
+    """Write a policy as an ONNX model: from observations to actions, without noise.
+
+    The model has one input, `observations`, float32 of shape (n, observations), as the environment
+    gives them: scaling them is part of the model. Its output, `actions`, float32 of shape
+    (n, actions), is what `step` takes. Before the file is written, actions for 64 observations are
+    compared with those of `policy.act`.
+
+    Args:
+        policy: the policy, from `load_policy`.
+        file: the file to write; must not exist yet.
+
+    Returns:
+        The file.
+
+    Raises:
+        MissingExtraError: the extra `onnx` is not installed.
+        InputError: observations or actions are not rows of numbers, or a layer is unknown.
+        OutputError: the file exists or cannot be written, or actions differ.
+    """
+    onnx = require("onnx", extra="onnx", purpose="Exporting a policy")
+    reference = require("onnx.reference", extra="onnx", purpose="Exporting a policy")
+    file = Path(file)
+    if file.exists():
+        raise OutputError(f"{file} exists already: choose another name")
+    for space in (policy.model.observation_space, policy.model.action_space):
+        if type(space).__name__ != "Box" or len(space.shape) != 1:
+            raise InputError(f"only rows of numbers (Box spaces) can be exported, not {space}")
+    model = _model_of(onnx, policy)
+    observations = _observations_of(policy)
+    (actions,) = reference.ReferenceEvaluator(model).run(None, {"observations": observations})
+    space = policy.model.action_space
+    expected = policy.act(observations, np.zeros(len(observations)))
+    error = float((np.abs(actions - expected) / (space.high - space.low)).max())
+    if not error < _TOLERANCE:
+        raise OutputError(f"{file} was not written: its actions would be off by {error:.1g}")
+    try:
+        file.write_bytes(model.SerializeToString())
+    except OSError as error:
+        raise OutputError(f"{file} cannot be written: {error.strerror}") from None
+    return file
+
+
+def _model_of(onnx: Any, policy: Policy) -> Any:
+    """Return what `Policy.act` computes, as a model of ONNX."""
+    make, nodes, constants = onnx.helper, [], {}
+    low, high = policy.model.action_space.low, policy.model.action_space.high
+
+    def add(kind: str, *inputs: Any, **attributes: Any) -> None:
+        names = [nodes[-1].output[0] if nodes else "observations"]
+        for value in inputs:
+            names.append(f"constant_{len(constants)}")
+            constants[names[-1]] = np.asarray(value, np.float32)
+        nodes.append(make.make_node(kind, names, [f"value_{len(nodes)}"], **attributes))
+
+    normalizer = policy.normalizer
+    if normalizer.observations:
+        add("Sub", normalizer.mean)
+        add("Div", np.sqrt(normalizer.variance + normalizer.epsilon))
+        add("Clip", -normalizer.clip, normalizer.clip)
+    for layer in _layers_of(policy.model):
+        kind = type(layer).__name__
+        if kind == "Linear":
+            weight, bias = (each.detach().numpy() for each in (layer.weight, layer.bias))
+            add("Gemm", weight, bias, transB=1)
+        elif kind in _ACTIVATIONS:
+            add(_ACTIVATIONS[kind])
+        else:
+            raise InputError(f"a policy with a {kind} layer cannot be exported")
+    if policy.model.squash_output:  # to between -1 and 1
+        add("Mul", (high - low) / 2)
+        add("Add", (high + low) / 2)
+    add("Max", low)
+    add("Min", high)
+    nodes[-1].output[0] = "actions"
+    ends = [
+        make.make_tensor_value_info(name, onnx.TensorProto.FLOAT, ["n", *space.shape])
+        for name, space in (
+            ("observations", policy.model.observation_space),
+            ("actions", policy.model.action_space),
+        )
+    ]
+    tensors = [onnx.numpy_helper.from_array(value, name) for name, value in constants.items()]
+    graph = make.make_graph(nodes, policy.run.environment, ends[:1], ends[1:], tensors)
+    opset = make.make_opsetid("", _OPSET)
+    model = make.make_model(graph, opset_imports=[opset], producer_name="mjgranular")
+    model.ir_version = _FORMAT
+    onnx.checker.check_model(model)
+    return model
+
+
+def _layers_of(model: Any) -> list[Any]:
+    """Return the layers from scaled observations to actions, with those that squash them."""
+    torch = require("torch", extra="onnx", purpose="Exporting a policy")
+    if hasattr(model, "actor") and not hasattr(model.actor, "latent_pi"):  # TD3
+        return list(model.actor.mu)
+    if hasattr(model, "actor"):  # SAC
+        layers = [*model.actor.latent_pi, model.actor.mu]
+    else:
+        layers = [*model.mlp_extractor.policy_net, model.action_net]
+    return [*layers, torch.nn.Tanh()] if model.squash_output else layers
+
+
+def _observations_of(policy: Policy) -> np.ndarray:
+    """Return observations that reach the limits of scaled observations and of actions."""
+    shape = (64, *policy.model.observation_space.shape)
+    values = 4 * np.random.default_rng(0).standard_normal(shape)
+    if policy.normalizer.observations:
+        values = policy.normalizer.mean + np.sqrt(policy.normalizer.variance) * values
+    return values.astype(np.float32)
