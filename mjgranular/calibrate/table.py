@@ -50,12 +50,15 @@ def read_table(
         InputError: the file cannot be read, a column is missing, or a cell is not a number.
     """
     text = read_file(path, "the measurement", largest=LARGEST).decode("utf-8-sig", "replace")
-    rows = [
-        (line, row)
-        for line, row in enumerate(csv.reader(io.StringIO(text)), 1)
-        if any(cell.strip() for cell in row) and not row[0].startswith("#")
-    ]
     name = place(path)
+    try:
+        rows = [
+            (line, row)
+            for line, row in enumerate(csv.reader(io.StringIO(text)), 1)
+            if any(cell.strip() for cell in row) and not row[0].startswith("#")
+        ]
+    except csv.Error as error:
+        raise InputError(f"{name} is not a table: {error}; a quote may not be closed") from None
     if not rows:
         raise InputError(f"{name} is empty: a table has a line of headings and rows of numbers")
     headings = [cell.strip() for cell in rows[0][1]]
