@@ -6,6 +6,7 @@ import math
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -85,8 +86,7 @@ def place(
         The sands with their surfaces, and with the floors that they replace.
     """
     floors = [geom for geom in spec.worldbody.geoms if _is_floor(geom)]
-    for number, floor in enumerate(floors):
-        floor.name = floor.name or f"mjgranular_floor_{number}"
+    _give_names(floors, "mjgranular_floor", spec.geoms)
     bare = _keep_extent(spec)
     if spec.option.integrator == mujoco.mjtIntegrator.mjINT_RK4:
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
@@ -97,9 +97,7 @@ def place(
     ]
     add_daylight(spec)
     _paint(spec, floors, surfaces, cut, tile)
-    for number, body in enumerate(spec.bodies):
-        if not body.name:  # sensors find bodies by name
-            body.name = f"body_{number}"
+    _give_names(spec.bodies, "body", spec.bodies)  # sensors find bodies by name
     replaced = [floor.name for floor in floors]
     return [
         combined(sand, {"surface": surface, "instead_of": [*replaced, *names_in(sand.instead_of)]})
@@ -148,6 +146,16 @@ def _let_meet(spec: mujoco.MjSpec) -> None:
             geom.conaffinity = 1
 
 
+def _give_names(elements: Sequence[Any], stem: str, same_kind: Sequence[Any]) -> None:
+    """Name elements without a name by their number; `same_kind` has all names that are taken."""
+    taken = {element.name for element in same_kind}
+    for number, element in enumerate(elements):
+        name = f"{stem}_{number}"
+        while name in taken:
+            name += "_"
+        element.name = element.name or name
+
+
 def _is_floor(geom: mujoco.MjsGeom) -> bool:
     return geom.type == mujoco.mjtGeom.mjGEOM_PLANE
 
@@ -186,8 +194,7 @@ def _paint(
         plane = planes[0]
         floor.material = material
         floor.rgba = [1, 1, 1, 1]
-        if floor.frame is not None:
-            floor.set_frame(spec.worldbody.add_frame())
+        floor.set_frame(spec.worldbody.add_frame())  # its own may be moved or turned
         floor.pos = [0, 0, plane.height - cut]
         half = plane.slope / 2
         axis = (math.sin(plane.uphill), -math.cos(plane.uphill))

@@ -12,7 +12,7 @@ import numpy as np
 
 from mjgranular._util.checks import kind_of
 from mjgranular.engine import tune
-from mjgranular.errors import InputError, UnknownArgumentError, UnknownNameError
+from mjgranular.errors import InputError, UnknownNameError
 from mjgranular.law import laws
 from mjgranular.medium import get_medium, media
 from mjgranular.sand.material import medium_for
@@ -90,13 +90,13 @@ class SandRanges:
         """Return ranges from a table by the names of the fields, as in TOML or YAML.
 
         Raises:
-            UnknownArgumentError: a name is not that of a field; lists the fields.
+            UnknownNameError: a name is not that of a field; lists the fields.
             InputError: as for the ranges themselves.
         """
         known = [field.name for field in fields(cls)]
         for name in table:
             if name not in known:
-                raise UnknownArgumentError("randomise", name, known)
+                raise UnknownNameError("range of randomise", name, known)
         return cls(**table)
 
     def _check_range(self, name: str) -> None:
@@ -128,7 +128,7 @@ def ranges_of(ranges: Any, curriculum: Any) -> SandRanges | None:
     """Return the ranges of an environment, and check its curriculum.
 
     Raises:
-        UnknownArgumentError: a name in the table is not that of a field; lists the fields.
+        UnknownNameError: a name in the table is not that of a field; lists the fields.
         InputError: `ranges` is something else, or a curriculum has none.
     """
     if isinstance(ranges, Mapping):

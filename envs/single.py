@@ -16,6 +16,8 @@ from mjgranular.envs.tasks import get_task
 class SandEnv(gym.Env[np.ndarray, np.ndarray]):
     """A task with one simulation.
 
+    A copy or pickle has its task and options, not its state: call `reset` first.
+
     Args:
         task: a task or its name.
         render_mode: None, "human" or "rgb_array".

@@ -64,7 +64,7 @@ def read_table(
             if any(cell.strip() for cell in row) and not row[0].startswith("#")
         ]
     except csv.Error as error:
-        raise InputError(f"{name} is not CSV: {error}") from None
+        raise InputError(f"{name} is not a table: {error}; a quote may not be closed") from None
     if not rows:
         raise InputError(f"{name} is empty: a table has a line of headings and rows of numbers")
     headings = [cell.strip() for cell in rows[0][1]]

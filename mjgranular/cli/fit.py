@@ -58,7 +58,7 @@ class FitCommand:
             self._show(_run(fit))
             return 0
         if self.out.suffix not in (".yaml", ".yml"):
-            raise InputError(f"--medium takes a file that ends in .yaml, got {self.out.name!r}")
+            raise InputError(f"--out must be a file that ends in .yaml, got {str(self.out)!r}")
         if not self.out.parent.is_dir():
             raise InputError(
                 f"there is no folder {self.out.parent} to write {self.out.name} to: make it first"

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from mjgranular._util import files
-from mjgranular._util.io import checked_fields, is_text, read_arrays, read_json
+from mjgranular._util.io import checked_fields, is_text, number, read_arrays, read_json
 from mjgranular._util.result_folder import CONFIG, SUMMARY, ResultFolder
 from mjgranular.errors import GranularError, OutputError
 from mjgranular.experiment.drop import Drop, DropResult
@@ -114,6 +114,8 @@ def read_impact(path: Path) -> tuple[Impact, dict[str, Any], Trajectory]:
                 "made of an impact, mjgranular impact --out DIR"
             )
         summary = read_json(files.latest_path(path, SUMMARY))
+        for name in ("touchdown_time", "stopping_time"):
+            number(summary, name, path / SUMMARY)
         impact = Impact(**checked_fields(Impact, config.get("config"), path / CONFIG))
         trajectory = Trajectory.read_npz(files.latest_path(path, _NPZ))
         return impact, summary, trajectory

@@ -7,7 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from mjgranular._util.checks import check_kind
 from mjgranular._util.extras import require
+from mjgranular._util.files import atomic_write
 from mjgranular.errors import InputError, OutputError
 from mjgranular.learn.policies import Policy
 
@@ -39,6 +41,7 @@ def export_onnx(policy: Policy, file: str | Path) -> Path:
     """
     onnx = require("onnx", extra="onnx", purpose="Exporting a policy")
     reference = require("onnx.reference", extra="onnx", purpose="Exporting a policy")
+    check_kind(policy, Policy, "export_onnx", "load_policy(...)")
     file = Path(file)
     if file.exists():
         raise OutputError(f"{file} exists already: choose another name")
@@ -53,10 +56,8 @@ def export_onnx(policy: Policy, file: str | Path) -> Path:
     error = float((np.abs(actions - expected) / (space.high - space.low)).max())
     if not error < _TOLERANCE:
         raise OutputError(f"{file} was not written: its actions would be off by {error:.1g}")
-    try:
-        file.write_bytes(model.SerializeToString())
-    except OSError as error:
-        raise OutputError(f"{file} cannot be written: {error.strerror}") from None
+    with atomic_write(file) as part:
+        part.write_bytes(model.SerializeToString())
     return file
 
 

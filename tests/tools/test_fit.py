@@ -182,11 +182,13 @@ DATA = {
     ),
     "'x'": lambda place: (place / "slow.csv").write_text("time,depth\n0,0\n0.01,x\n"),
     "'in'": lambda place: (place / "slow.csv").write_text("time [s],depth [in]\n0,0\n0.01,1\n"),
-    "is not CSV": lambda place: (place / "slow.csv").write_text("time,depth\n" + "0" * 200_000),
     "2 columns 'depth'": lambda place: (place / "slow.csv").write_text(
         "time,depth [mm],depth_m\n0,0,0\n0.01,1,2\n"
     ),
     "begins with numbers": lambda place: (place / "slow.csv").write_text("0,0\n0.01,1\n"),
+    "a quote may not be closed": lambda place: (place / "slow.csv").write_text(
+        'time,depth\n"0,0\n' + "0.01,1\n" * 20_000
+    ),
     "slow.csv": lambda place: (place / "slow.csv").unlink(),
 }
 
@@ -224,7 +226,7 @@ OPTIONS = {
     ),
     "'rft4d'": ("--law", "rft4d", "--free", "strength"),
     "name the law": ("--free", "strength"),
-    "ends in .yaml": (*FREE, "--out", "medium.json"),
+    "--out must be a file that ends in .yaml": (*FREE, "--out", "medium.json"),
     "there is no folder": (*FREE, "--out", "no/medium.yaml"),
 }  # fmt: skip
 

@@ -1,5 +1,8 @@
 """Policies as ONNX models: the same actions, from the same observations."""
 
+import errno
+from pathlib import Path
+
 import gymnasium as gym
 import numpy as np
 import onnx
@@ -75,7 +78,23 @@ def test_nothing_is_overwritten(tmp_path):
     assert file.read_text() == "mine"
 
 
+def test_a_full_disk_leaves_no_file(tmp_path, monkeypatch):
+    policy = load_policy("Hopper-v0/ppo-0")
+
+    def write(path, content):
+        with path.open("wb") as file:
+            file.write(content[:100])
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", write)
+    with pytest.raises(OutputError, match="No space left"):
+        export_onnx(policy, tmp_path / "policy.onnx")
+    assert not list(tmp_path.iterdir())
+
+
 def test_what_cannot_be_exported_is_refused(tmp_path):
+    with pytest.raises(InputError, match=r"takes a Policy.*load_policy"):
+        export_onnx("Hopper-v0/ppo-0", tmp_path / "policy.onnx")  # pyright: ignore
     policy = trained(tmp_path, "sac", "use_sde=true")
     with pytest.raises(InputError, match="cannot be exported"):
         export_onnx(policy, tmp_path / "policy.onnx")

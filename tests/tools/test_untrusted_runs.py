@@ -234,3 +234,11 @@ def test_a_damaged_result_is_told_of_in_one_sentence(command, tmp_path, monkeypa
         assert "holds no saved" in said
         assert "Traceback" not in said
     assert not (folder / "impact.mp4").exists()
+
+
+@pytest.mark.parametrize("change", [{}, {"touchdown_time": None, "stopping_time": "0.1"}])
+def test_a_summary_without_times_is_no_saved_impact(change, tmp_path, capfd):
+    assert main(["impact", "--timestep", "1e-4", "--json", "--out", str(tmp_path)]) == 0
+    (tmp_path / "summary.json").write_text(json.dumps(change))
+    assert main(["render", str(tmp_path)]) == 2
+    assert "holds no saved impact" in capfd.readouterr().err
