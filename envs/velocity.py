@@ -175,6 +175,12 @@ class Go1Velocity(Task):
     torque_weight: float = 2e-4
     slip_weight: float = 0.1
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("command_x", "command_y", "command_yaw"):
+            if not np.isfinite(getattr(self, name)).all():
+                raise InputError(f"{name} must be a range of finite numbers")
+
     def robot(self) -> mujoco.MjSpec:
         path = robot_path(self.robot_file)
         with converted_errors():

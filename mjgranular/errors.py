@@ -160,7 +160,7 @@ class RenderError(GranularError, RuntimeError):
 
 
 @contextmanager
-def drawing() -> Iterator[None]:
+def drawing(what: str = "MuJoCo cannot draw on this machine") -> Iterator[None]:
     """Raise a `RenderError` for any error of the block: OpenGL fails differently everywhere."""
     try:
         yield
@@ -168,7 +168,7 @@ def drawing() -> Iterator[None]:
         raise
     except Exception as error:
         raise RenderError(
-            f"MuJoCo cannot draw on this machine ({type(error).__name__}: {error}); on Linux "
+            f"{what} ({type(error).__name__}: {error}); on Linux "
             "without a screen install libegl1 (apt-get install libegl1 libgl1-mesa-dri), import "
             "mjgranular before mujoco or set MUJOCO_GL=egl, and use render_mode='rgb_array'"
         ) from None

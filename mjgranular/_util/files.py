@@ -29,10 +29,10 @@ from typing import TypeVar
 from mjgranular._util.io import is_plain_name, read_json
 from mjgranular.errors import GranularError, OutputError, warn_user
 
-try:
+if os.name == "nt":
+    import msvcrt
+else:
     import fcntl
-except ImportError:  # Windows
-    fcntl = None
 
 T = TypeVar("T")
 
@@ -251,24 +251,35 @@ def locked(folder: Path, name: str = LOCK) -> Iterator[None]:
     try:
         yield
     finally:
-        with suppress(OSError):
-            file.unlink()
-        os.close(descriptor)
+        if os.name == "nt":  # where an open file cannot be removed
+            os.close(descriptor)
+            with suppress(OSError):
+                file.unlink()
+        else:
+            with suppress(OSError):
+                file.unlink()
+            os.close(descriptor)
 
 
 def _lock(file: Path) -> int:
     """Open and lock a file; raise `BlockingIOError` if another process has it."""
-    if fcntl is None:
-        raise OSError(errno.ENOSYS, "no locks")
-    for last in (False,) * (_TRIES - 1) + (True,):
+    tries = 0
+    while True:
         try:
             file.parent.mkdir(parents=True, exist_ok=True)
             descriptor = os.open(file, os.O_RDWR | os.O_CREAT, 0o666)
         except FileNotFoundError:  # the previous holder removed the folder that it had made
-            if last:
+            tries += 1
+            if tries == _TRIES:
                 raise
             continue
         try:
+            if os.name == "nt":
+                try:
+                    msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+                except OSError:
+                    raise BlockingIOError from None
+                return descriptor
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             # The previous holder removes the file: a lock on a removed file is void.
             with suppress(FileNotFoundError):
@@ -278,7 +289,6 @@ def _lock(file: Path) -> int:
             os.close(descriptor)
             raise
         os.close(descriptor)
-    raise BlockingIOError
 
 
 @contextmanager

@@ -169,7 +169,8 @@ def _with_starts(fit: Fit, trials: Sequence[Trial]) -> Material:
             costs = {}
             for value in _SCAN:
                 probe = Problem(trials, material.changed({name: value}), (name,))
-                costs[value] = np.square(probe.residual(probe.start())).sum()
+                cost = np.square(probe.residual(probe.start())).sum()
+                costs[value] = np.inf if np.isnan(cost) else cost
             material = material.changed({name: min(costs, key=costs.__getitem__)})
     return material
 

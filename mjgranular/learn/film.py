@@ -61,5 +61,5 @@ def frames_of_episode(
 
 
 def _frame(env: Any) -> np.ndarray:
-    with drawing():
+    with drawing("the environment cannot be drawn"):
         return np.asarray(env.render(), dtype=np.uint8)

@@ -13,8 +13,7 @@ from mjgranular._util.files import atomic_write
 from mjgranular.errors import InputError, OutputError
 from mjgranular.learn.policies import Policy
 
-_OPSET = 17  # of ONNX; ONNX Runtime reads it since 1.12
-_FORMAT = 8  # of the file, likewise
+_OPSET, _FORMAT = 17, 8  # of ONNX and of the file; ONNX Runtime reads them since 1.12
 _ACTIVATIONS = {"Tanh": "Tanh", "ReLU": "Relu", "ELU": "Elu"}  # PyTorch's names, ONNX's
 _TOLERANCE = 1e-5  # of actions, in units of their range; weights are in single precision
 

@@ -1,4 +1,4 @@
-"""Sand in place of the floor of a model of a user's own."""
+"""Sand in place of the floor of a user's model."""
 
 import mujoco
 import pytest
