@@ -1,4 +1,4 @@
-"""Draws `impact_frames.jpg`: three instants of the paper's first drop, for the README."""
+"""Draws `impact_frames.jpg`: three instants of the first drop of the paper."""
 
 from pathlib import Path
 
