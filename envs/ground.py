@@ -6,14 +6,15 @@ import math
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from numbers import Real
 from typing import Any
 
 import mujoco
 import numpy as np
 
-from mjgranular import HeightField, InputError, Plane, SandSpec, Surface, add_sand
+from mjgranular import Bed, HeightField, InputError, Plane, SandSpec, Surface, add_sand
 from mjgranular.engine.measures import SENSOR
-from mjgranular.errors import GranularError
+from mjgranular.errors import GranularError, shown
 from mjgranular.relief.memory import as_memory
 from mjgranular.render.material import NOT_SHOWN, TILE, add_material
 from mjgranular.render.scenery import add_daylight, place_sun
@@ -27,6 +28,12 @@ FORCE, DEPTH, POWER, SPEED = "sand/force", "sand/depth", "sand/power", "sand/spe
 
 RIGID = "rigid ground"
 """Name of a geom that carries the robot on purpose, beside the sand."""
+_BESIDE = "sand beside rigid ground"
+_EDGE = 50.0  # half the width of each [m]
+_CONTACT = (
+    "contype", "conaffinity", "condim", "priority", "friction", "solmix", "solref", "solimp",
+    "margin", "gap",
+)  # fmt: skip
 
 
 def put_on_sand(
@@ -77,6 +84,29 @@ def put_on_sand(
     return model
 
 
+def add_rigid_ground(spec: mujoco.MjSpec, end: float) -> None:
+    """Add a block with the height and contacts of the floor up to x = `end`, then a bed of sand.
+
+    Raises:
+        InputError: `end` is not a number, or the robot would start on nothing.
+    """
+    if not isinstance(end, Real) or isinstance(end, bool) or not end > -_EDGE:
+        raise InputError(
+            f"rigid must be where the rigid floor ends, above -{_EDGE:g} m, not {shown(end)}"
+        )
+    floors = [geom for geom in spec.worldbody.geoms if _is_floor(geom)]
+    floor = max(floors, key=lambda geom: geom.pos[2])
+    edge, box, size = min(float(end), _EDGE), mujoco.mjtGeom.mjGEOM_BOX, [_EDGE] * 3
+    sand = spec.worldbody.add_geom(name=_BESIDE, type=box, size=size, contype=0, conaffinity=0)
+    sand.pos = [edge + _EDGE, 0, floor.pos[2] - _EDGE]
+    rigid = spec.worldbody.add_geom(name=RIGID, type=box, size=size, rgba=[0.45, 0.47, 0.5, 1])
+    rigid.pos = [edge - _EDGE, 0, floor.pos[2] - _EDGE]
+    if edge == _EDGE:  # contacts as on the floor, to the last bit
+        rigid.type, rigid.pos = mujoco.mjtGeom.mjGEOM_PLANE, [0, 0, floor.pos[2]]
+    for name in _CONTACT:
+        setattr(rigid, name, getattr(floor, name))
+
+
 def place(
     spec: mujoco.MjSpec, sands: Sequence[SandSpec], *, cut: float = 0.0, tile: float = TILE
 ) -> list[SandSpec]:
@@ -95,6 +125,8 @@ def place(
     surfaces = [
         surface_of(sand.surface) if sand.surface else _surface_of(bare, floors) for sand in sands
     ]
+    if spec.geom(_BESIDE) is not None:
+        surfaces = [Bed(_BESIDE) for _ in sands]
     add_daylight(spec)
     _paint(spec, floors, surfaces, cut, tile)
     _give_names(spec.bodies, "body", spec.bodies)  # sensors find bodies by name
@@ -127,10 +159,10 @@ def quiet() -> Iterator[None]:
 
 
 def _keep_extent(spec: mujoco.MjSpec) -> mujoco.MjModel:
-    """Keep the near and far clipping planes of a model without dunes; return that model."""
+    """Keep the clipping planes of a model without dunes and rigid ground; return that model."""
     bare = spec.copy()
     for geom in bare.worldbody.geoms:
-        if geom.type == mujoco.mjtGeom.mjGEOM_HFIELD:
+        if geom.type == mujoco.mjtGeom.mjGEOM_HFIELD or geom.name in (RIGID, _BESIDE):
             bare.delete(geom)
     with quiet():
         model = bare.compile()
@@ -157,7 +189,7 @@ def _give_names(elements: Sequence[Any], stem: str, same_kind: Sequence[Any]) ->
 
 
 def _is_floor(geom: mujoco.MjsGeom) -> bool:
-    return geom.type == mujoco.mjtGeom.mjGEOM_PLANE
+    return geom.type == mujoco.mjtGeom.mjGEOM_PLANE and geom.name != RIGID
 
 
 def _surface_of(model: mujoco.MjModel, floors: Sequence[mujoco.MjsGeom]) -> Plane:
@@ -181,7 +213,7 @@ def _paint(
     """Make floors look like sand, and move them to its height."""
     material = add_material(spec, tile=tile)
     for surface in surfaces:
-        if isinstance(surface, HeightField):
+        if isinstance(surface, Bed | HeightField):
             geom = spec.geom(surface.geom)
             if geom is not None:
                 geom.material = material

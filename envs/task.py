@@ -27,7 +27,7 @@ from mjgranular import HeightField, InputError, Medium, Plane, SandSpec, Surface
 from mjgranular._util.checks import check_count
 from mjgranular.envs.dunes import DUNES, Dunes, add_dunes
 from mjgranular.envs.figures import Figures
-from mjgranular.envs.ground import put_on_sand
+from mjgranular.envs.ground import add_rigid_ground, put_on_sand
 from mjgranular.envs.options import check_option
 from mjgranular.envs.ranges import (
     Choice,
@@ -81,6 +81,9 @@ class Task(SandSpec, ABC):
             None for a fixed sand.
         curriculum: returns the ranges for the next episode, given the number of episodes that this
             simulation has begun; must be within `randomise`.
+        rigid: the x up to which the ground is a rigid floor [m]. Robots start at x = 0, so that 0.5
+            makes one walk from the floor onto sand, and inf leaves no sand to walk on. None for
+            sand alone.
         observe_sand: append the sampled sand to the observation: strength, density, slope, and a
             one-hot vector if there are several sands.
         frame_skip: substeps in a step.
@@ -108,6 +111,7 @@ class Task(SandSpec, ABC):
     resolution: int | None = 4
     randomise: SandRanges | None = None
     curriculum: Callable[[int], SandRanges] | None = field(default=None)
+    rigid: float | None = None
     observe_sand: bool = False
     frame_skip: int = 5
 
@@ -211,10 +215,18 @@ class Task(SandSpec, ABC):
         return model, Figures(model, sands), np.array(model.opt.gravity)
 
     def scene(self) -> mujoco.MjSpec:
-        """Return the robot, with dunes if sampled, before sand replaces the floor."""
+        """Return the robot, with dunes or rigid ground, before sand replaces the floor."""
         spec = self.robot()
-        if any(choice.surface == "dunes" for choice in self.choices):
+        dunes = any(choice.surface == "dunes" for choice in self.choices)
+        if dunes:
             add_dunes(spec, self.dunes)
+        if self.rigid is not None:
+            if dunes or self.surface is not None or self.cut:
+                raise InputError(
+                    "rigid needs level sand, and a robot that stands on it: leave surface and "
+                    "dunes out, or rigid"
+                )
+            add_rigid_ground(spec, self.rigid)
         return spec
 
     @property

@@ -6,17 +6,16 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from numbers import Real
 from pathlib import Path
 from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
 
-from mjgranular.envs.ground import RIGID, converted_errors
+from mjgranular.envs.ground import converted_errors
 from mjgranular.envs.ranges import Sample
 from mjgranular.envs.task import Start, State, Task
-from mjgranular.errors import InputError, shown
+from mjgranular.errors import InputError
 from mjgranular.models import robot_path
 from mjgranular.shape.select import Choice
 
@@ -51,7 +50,6 @@ _LEG = 0.27  # height of a hip over its foot in the stance [m]: 2 x 0.213 m x co
 _LIFT = (0.5, -1.0)  # thigh and calf of a swinging leg [rad]
 _GAIN = 1.5  # strides over what would do without slip
 _PAIRS = np.array([1.0, -1.0, -1.0, 1.0])  # a trot: legs of one sign swing together
-_EDGE = 50.0  # of the rigid ground [m]
 _LOW = 0.06  # height of the trunk's center at which the head meets the surface [m]
 _TILT = math.cos(math.radians(70))  # as in mjlab
 
@@ -137,8 +135,6 @@ class Go1Velocity(Task):
 
     ## Arguments
     `robot_file`, a name of MuJoCo Menagerie or a path of MJCF with the same joints and calves;
-    `rigid`, the x up to which the ground is a rigid floor [m]: the robot starts at x = 0, so that
-    0.5 makes it walk from one to the other, and inf leaves no sand to walk on;
     `command_x=(-0.8, 0.8)`, `command_y=(-0.4, 0.4)`, `command_yaw=(-1, 1)`, `push_scale=1`,
     `reset_noise_scale=0.05`, the sizes of the weights above, such as `linear_weight=3`,
     `frame_skip=4` substeps of 5 ms, and those of `Task`: the medium, randomised sand and so on. The
@@ -156,7 +152,6 @@ class Go1Velocity(Task):
     timestep: ClassVar[float] = 0.005
 
     robot_file: str | Path = "unitree_go1"
-    rigid: float | None = None
     bodies: Choice = tuple(f"{leg}_calf" for leg in LEGS)
     resolution: int | None = 2
     frame_skip: int = 4
@@ -197,29 +192,10 @@ class Go1Velocity(Task):
                 geom.conaffinity = int(bool(geom.contype or geom.conaffinity))
                 geom.contype = 0
         spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[50, 50, 1])
-        if self.rigid is not None:
-            self._add_rigid_ground(spec, self.rigid)
         spec.option.timestep = self.timestep
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         spec.nuserdata = _PUSH.stop
         return spec
-
-    def _add_rigid_ground(self, spec: mujoco.MjSpec, end: float) -> None:
-        """Add a block with its top at z = 0, up to x = `end`; feet sink less than 1 mm into it."""
-        if not isinstance(end, Real) or isinstance(end, bool) or not end > -_EDGE:
-            raise InputError(
-                f"rigid must be where the rigid floor ends, above -{_EDGE:g} m, not {shown(end)}"
-            )
-        if self.surface is not None or any(choice.surface == "dunes" for choice in self.choices):
-            raise InputError("rigid needs level sand: leave surface and dunes out")
-        right = min(float(end), _EDGE)
-        spec.worldbody.add_geom(
-            name=RIGID,
-            type=mujoco.mjtGeom.mjGEOM_BOX,
-            pos=[(right - _EDGE) / 2, 0, -0.5],
-            size=[(right + _EDGE) / 2, _EDGE, 0.5],
-            rgba=[0.45, 0.47, 0.5, 1],
-        )
 
     @cached_property
     def _stance(self) -> np.ndarray:

@@ -34,7 +34,13 @@ _NOT_SETTINGS = (  # arguments of algorithms that the run determines
     "tensorboard_log",
     "_init_setup_model",
 )
-_KINDS = {int: "an integer", float: "a number", bool: "true or false", str: "a string"}
+_KINDS: dict[Any, str] = {
+    int: "an integer",
+    float: "a number",
+    bool: "true or false",
+    str: "a string",
+    str | None: "a string",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,6 +56,8 @@ class Settings:
         normalize_observations: by their running mean and variance, which are saved with the policy.
         normalize_rewards: by the running variance of the return, in training only.
         checkpoint_every: steps from one checkpoint to the next.
+        start_from: the policy to continue from, with its scales of observations: the folder of a
+            run or the name of a policy of the package; None to start from random weights.
         arguments: arguments of the algorithm's class. A learning rate or clip range "linear_3e-4"
             falls from there to zero; `action_noise` is the standard deviation of normal noise.
         policy: further arguments of the algorithm's policy, such as `log_std_init`.
@@ -64,6 +72,7 @@ class Settings:
     normalize_observations: bool = True
     normalize_rewards: bool = True
     checkpoint_every: int = 50_000
+    start_from: str | None = None
     arguments: Mapping[str, Any] = field(default_factory=dict)
     policy: Mapping[str, Any] = field(default_factory=dict)
     environment: Mapping[str, Any] = field(default_factory=dict)

@@ -14,9 +14,10 @@ import numpy as np
 from mjgranular._util import files
 from mjgranular._util.extras import require
 from mjgranular._util.result_folder import CONFIG
-from mjgranular.errors import InputError, warn_user
+from mjgranular.errors import GranularError, InputError, shown, warn_user
 from mjgranular.learn import environments
 from mjgranular.learn.checkpoint import Progress, load_checkpoint, write_policy
+from mjgranular.learn.policies import load_policy
 from mjgranular.learn.run import (
     CHECKPOINTS,
     CURVE,
@@ -71,7 +72,8 @@ def train(
             on this machine's cores. A run may change this at any checkpoint.
 
     Raises:
-        InputError: the environment, the algorithm and its arguments do not match.
+        InputError: the environment, the algorithm, its arguments and the policy that it starts from
+            do not match.
         OutputError: the environment's module would be executed only because a file names it, or a
             checkpoint cannot be written or read; those before it are intact.
         UnstableError: weights of the policy are not finite.
@@ -92,6 +94,8 @@ def train(
         newest = run.newest_checkpoint()
         if newest is None:
             model, start = new_model(run, env), Progress(0, 0.0, [])
+            if run.settings.start_from is not None:
+                _take_over(run.settings.start_from, run, model, env)
         else:
             _warn_of_versions(run)
             run.warn_of_sand(sands_made(run.environment, run.arguments))
@@ -166,6 +170,29 @@ def new_model(run: Run, env: Any) -> Any:
         )
     except Exception as error:  # its checks of arguments differ, and some are missing
         raise InputError(f"{settings.algorithm}: {' '.join(str(error).split())}") from None
+
+
+def _take_over(where: str, run: Run, model: Any, env: Any) -> None:
+    """Give an untrained model the weights and the scales of observations of another policy."""
+    try:
+        other = load_policy(where).checked(run.environment, env)
+    except GranularError as error:
+        raise InputError(f"start_from: {error}") from None
+    names = ("algorithm", "net", "activation", "normalize_observations")
+    theirs, ours = (
+        ", ".join(f"{name} {shown(getattr(settings, name))}" for name in names)
+        for settings in (other.run.settings, run.settings)
+    )
+    if theirs != ours:
+        raise InputError(f"start_from: {where} has {theirs}, but this run has {ours}")
+    try:
+        model.policy.load_state_dict(other.model.state_dict())
+    except RuntimeError:
+        raise InputError(
+            f"start_from: {where} has other weights than a policy with the arguments "
+            f"{shown(dict(run.settings.policy))}; it has {shown(dict(other.run.settings.policy))}"
+        ) from None
+    other.normalizer.restore(env)
 
 
 def _arguments(settings: Settings, env: Any) -> dict[str, Any]:

@@ -9,7 +9,6 @@ from typing import Any, ClassVar
 import mujoco
 import numpy as np
 
-from mjgranular.errors import InputError
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.vector import dot, read_vector
 from mjgranular.shape.sizes import check_extents
@@ -82,10 +81,7 @@ class Bed(Surface):
         return (find_geom(model, self.geom, mujoco.mjtGeom.mjGEOM_BOX, "bed"),)
 
     def lift(self, model: mujoco.MjModel) -> Mapping[str, np.ndarray]:
-        raise InputError(
-            f"the bed {self.geom!r} cannot be raised or lowered: it is the box that the model has; "
-            "tunable sand needs a plane or a height_field"
-        )
+        return {"top": self.record(model)["normal"][0]}
 
     def tilt(self, model: mujoco.MjModel) -> float:
         return tilt_of(self.record(model)["normal"][0])

@@ -1,5 +1,6 @@
 """Environments: Gymnasium's and Stable-Baselines3's own checks, Gymnasium's numbers, physics."""
 
+import math
 import pickle
 import re
 import subprocess
@@ -430,3 +431,28 @@ def test_the_error_that_was_found_is_told_with_the_force():
     assert info["sand/error"] == found.error
     high = SandEnv("ChainSwim", surface=Plane(height=-1.0))
     assert high.reset(seed=0)[1]["sand/error"] == 0.0  # above the sand
+
+
+@pytest.mark.parametrize("name", ["Ant", "Hopper"])
+def test_rigid_ground_is_the_floor_of_the_robots_own_model(name):
+    task = tasks[name](rigid=math.inf)
+    env = SandEnv(task)
+    env.reset(seed=0)
+    spec = task.robot()
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.density = spec.option.viscosity = 0.0
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    data.qpos[:], data.qvel[:] = env.data.qpos, env.data.qvel
+    action = np.zeros(model.nu, np.float32)
+    for _ in range(20):
+        info = env.step(action)[4]
+        mujoco.mj_step(model, data, task.frame_skip)
+        assert info["sand/force"].tolist() == [0.0, 0.0, 0.0]
+    np.testing.assert_allclose(env.data.qpos, data.qpos, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["ChainSwim", "Swimmer"])
+def test_what_is_buried_has_no_rigid_ground(name):
+    with pytest.raises(InputError, match="a robot that stands on it"):
+        _ = tasks[name](rigid=0.0).model

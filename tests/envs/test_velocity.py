@@ -216,8 +216,8 @@ def test_part_of_the_ground_can_be_rigid():
         ({"rigid": -60.0}, "above -50 m, not -60"),
         ({"rigid": "0.5"}, "above -50 m, not '0.5'"),
         ({"rigid": True}, "above -50 m, not True"),
-        ({"rigid": 0.5, "surface": "plane slope=0.1"}, "leave surface and dunes out"),
-        ({"rigid": 0.5, "randomise": {"surfaces": ("plane", "dunes")}}, "surface and dunes out"),
+        ({"rigid": 0.5, "surface": "plane slope=0.1"}, "level sand"),
+        ({"rigid": 0.5, "randomise": {"surfaces": ("plane", "dunes")}}, "level sand"),
     ],
 )
 def test_a_rigid_ground_that_cannot_be_is_refused(options, message):

@@ -116,6 +116,35 @@ def test_a_killed_and_resumed_run_is_the_uninterrupted_one_to_the_last_bit(algor
     assert [(row[0], *row[2:]) for row in rows[0]] == [(row[0], *row[2:]) for row in rows[1]]
 
 
+def test_a_training_goes_on_from_the_policy_of_another(trained, tmp_path):
+    still = quick("ppo", f"start_from={trained.path}", "learning_rate=1e-12", "total_steps=128")
+    run = begin_run(tmp_path / "on", ID, still, seed=4)
+    train(run)
+    np.testing.assert_allclose(weights(run), weights(trained), rtol=1e-4, atol=1e-8)
+    old, new = load_policy(trained.path).normalizer, load_policy(run.path).normalizer
+    assert new.count == old.count + 2 + 128  # a reset, and the steps
+    assert 0.0 < np.abs(new.mean - old.mean).max() < 0.5
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            "net=[32]",
+            r"has algorithm 'ppo', net \[64, 64\].*this run has algorithm 'ppo', net \[32\]",
+        ),
+        ("activation=relu", "activation 'tanh'.* but this run has .*activation 'relu'"),
+        ("use_sde=true", "has other weights"),
+        ("start_from=nowhere", "no run folder or policy 'nowhere'"),
+    ],
+)
+def test_a_policy_that_does_not_fit_starts_nothing(change, message, trained, tmp_path):
+    settings = quick("ppo", f"start_from={trained.path}", change)
+    run = begin_run(tmp_path / "run", ID, settings, seed=3)
+    with pytest.raises(InputError, match=message):
+        train(run)
+
+
 @pytest.mark.slow
 def test_another_seed_is_another_policy_and_the_same_seed_the_same(trained, tmp_path):
     same = begin_run(tmp_path / "same", ID, trained.settings, seed=3)
@@ -427,6 +456,7 @@ def test_mistakes_in_settings_are_told(text, message, tmp_path):
         (["train", ID, "--set", "learning_rate=-1"], "ppo: "),
         (["train", ID, "--seed", "-1"], "seed must be"),
         (["train", "CartPole-v1", "--algorithm", "sac"], "sac needs actions"),
+        (["train", ID, "--set", "start_from=nowhere"], "no run folder or policy 'nowhere'"),
         (["train", "--resume", "nowhere"], "nowhere holds no training run"),
         (["train", ID, "--resume", "x"], "remove ENV"),
         (["evaluate", "nowhere"], "no run folder or policy 'nowhere'"),
