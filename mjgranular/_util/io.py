@@ -15,7 +15,7 @@ import typing
 import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -85,11 +85,12 @@ def read_text(file: Path) -> str:
         raise OutputError(f"{file} is damaged: it is not text") from None
 
 
-def read_json(file: Path) -> dict[str, Any]:
-    """Return the object in a JSON file."""
+def read_json(file: Path, *, infinite: bool = False) -> dict[str, Any]:
+    """Return the object in a JSON file; with `infinite` its numbers may be infinite."""
     text = read_text(file)
     try:
-        content = json.loads(text, parse_constant=_raise_for_constant)
+        constant = _infinite if infinite else _raise_for_constant
+        content = json.loads(text, parse_constant=constant)
         if "\\u" in text:  # lone surrogates cannot be printed
             json.dumps(content, ensure_ascii=False).encode()
     except (ValueError, RecursionError) as error:
@@ -182,5 +183,9 @@ def _kind(value: object) -> str:
     return f"the string {str(value)[:40]!r}"
 
 
-def _raise_for_constant(name: str) -> None:
+def _infinite(name: str) -> float:
+    return _raise_for_constant(name) if name == "NaN" else float(name)
+
+
+def _raise_for_constant(name: str) -> NoReturn:
     raise ValueError(f"{name} is not a number")

@@ -119,7 +119,7 @@ class Run:
         """Return the run with another number of steps, and write that to its folder."""
         longer = replace(self, settings=replace(self.settings, total_steps=total_steps))
         file = self.path / CONFIG
-        content = {**read_json(file), **longer.config()}
+        content = {**read_json(file, infinite=True), **longer.config()}
         files.write_text(file, json.dumps(content, indent=2) + "\n")
         return longer
 
@@ -212,7 +212,7 @@ def open_run(path: Path, *, trust: bool = False) -> Run:
         OutputError: the folder holds no run.
     """
     try:
-        content = read_json(path / CONFIG)
+        content = read_json(path / CONFIG, infinite=True)  # an option may be: rigid
         command, environment = content.get("command"), content.get("environment")
         if command not in (None, TRAINING):
             raise OutputError(f"it is the result of mjgranular {command}")

@@ -145,6 +145,12 @@ def test_a_policy_that_does_not_fit_starts_nothing(change, message, trained, tmp
         train(run)
 
 
+def test_options_of_an_environment_may_be_infinite(tmp_path):
+    settings = quick("ppo", "environment.g=inf")
+    begin_run(tmp_path / "run", ID, settings, seed=0)
+    assert open_run(tmp_path / "run").settings == settings
+
+
 @pytest.mark.slow
 def test_another_seed_is_another_policy_and_the_same_seed_the_same(trained, tmp_path):
     same = begin_run(tmp_path / "same", ID, trained.settings, seed=3)
