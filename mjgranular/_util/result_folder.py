@@ -82,7 +82,7 @@ class ResultFolder:
 
     def _command(self) -> object:
         with suppress(OutputError):
-            return read_json(self.path / CONFIG).get("command")
+            return read_json(self.path / CONFIG, infinite=True).get("command")
         return None
 
     @contextmanager
