@@ -12,6 +12,7 @@ chosen on sand: they are not tuned for the floor.
 
 from __future__ import annotations
 
+import importlib
 import json
 import math
 import os
@@ -122,11 +123,12 @@ def draw(robots: tuple[str, ...], ways: dict[Job, dict[str, float]]) -> None:
     """Draw the figure: a panel for each robot, a color for each ground of the training."""
     sys.path.insert(0, str(FIGURES))
     from matplotlib import pyplot as plt
-    from style import BLUE, GREY, ORANGE, save
 
+    style: Any = importlib.import_module("style")
+    colors = (style.GREY, style.ORANGE, style.BLUE)
     figure, axes = plt.subplots(1, len(robots), figsize=(4.6 * len(robots), 3.2), squeeze=False)
     for axis, robot in zip(axes.flat, robots, strict=True):
-        for shift, (trained, color) in enumerate(zip(GROUNDS, (GREY, ORANGE, BLUE), strict=True)):
+        for shift, (trained, color) in enumerate(zip(GROUNDS, colors, strict=True)):
             runs = [way for job, way in ways.items() if (job.robot, job.ground) == (robot, trained)]
             for place, ground in enumerate(GROUNDS):
                 values = [way[ground] for way in runs]
@@ -140,7 +142,7 @@ def draw(robots: tuple[str, ...], ways: dict[Job, dict[str, float]]) -> None:
         axis.set(title=robot, ylabel="way ahead in an episode [m]")
         axis.grid(axis="x", visible=False)
     axes.flat[0].legend(fontsize=8)
-    save(figure, "transfer")
+    style.save(figure, "transfer")
 
 
 def main(options: Options) -> None:
