@@ -15,6 +15,7 @@ from __future__ import annotations
 import importlib
 import json
 import math
+import multiprocessing
 import os
 import sys
 from concurrent.futures import ProcessPoolExecutor
@@ -28,7 +29,9 @@ import tyro
 from scipy import stats
 
 from mjgranular._util import files
+from mjgranular._util.checks import check_count
 from mjgranular.envs import tasks
+from mjgranular.learn.environments import find_spec
 from mjgranular.learn.evaluate import evaluate
 from mjgranular.learn.policies import load_policy
 from mjgranular.learn.run import begin_run, open_run
@@ -86,10 +89,9 @@ def score(out: Path, job: Job) -> dict[str, float]:
     )
     with run.locked():
         train(run)
-    policy, ways = load_policy(path), {}
+    policy, dt, ways = load_policy(path), tasks[job.robot]().dt, {}
     for name, ground in GROUNDS.items():
         found = evaluate(name, lambda _: policy, environment, ground, seeds=EPISODES).episodes
-        dt = tasks[job.robot]().dt
         ways[name] = float(np.mean(found.figures["x_velocity"] * found.lengths) * dt)
     files.write_text(path / "ways.json", json.dumps(ways) + "\n")
     return ways
@@ -99,6 +101,11 @@ def take_a_core(cores: Any) -> None:
     """Keep a worker on one core: a batch waits for its slowest thread at each step."""
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {cores.get()})
+
+
+def select(ways: dict[Job, dict[str, float]], robot: str, trained: str, ground: str) -> list[float]:
+    """Return the ways of a robot's policies of one training on one ground, for each seed."""
+    return [way[ground] for job, way in ways.items() if (job.robot, job.ground) == (robot, trained)]
 
 
 def interquartile(values: Any, axis: int = -1) -> Any:
@@ -129,9 +136,8 @@ def draw(robots: tuple[str, ...], ways: dict[Job, dict[str, float]]) -> None:
     figure, axes = plt.subplots(1, len(robots), figsize=(4.6 * len(robots), 3.2), squeeze=False)
     for axis, robot in zip(axes.flat, robots, strict=True):
         for shift, (trained, color) in enumerate(zip(GROUNDS, colors, strict=True)):
-            runs = [way for job, way in ways.items() if (job.robot, job.ground) == (robot, trained)]
             for place, ground in enumerate(GROUNDS):
-                values = [way[ground] for way in runs]
+                values = select(ways, robot, trained, ground)
                 mean, low, high = interval(values)
                 x = place + 0.25 * (shift - 1)
                 label = f"trained on {trained}" if place == 0 else None
@@ -147,8 +153,9 @@ def draw(robots: tuple[str, ...], ways: dict[Job, dict[str, float]]) -> None:
 
 def main(options: Options) -> None:
     """Train and evaluate, print the tables, draw the figure."""
-    import multiprocessing
-
+    check_count("seeds", options.seeds, least=2)  # an interval needs two
+    for robot in options.robots:
+        find_spec(f"mjgranular/{robot}-v0")
     context = multiprocessing.get_context("spawn")
     cores = context.Queue()
     for number in range(options.jobs):
@@ -164,8 +171,7 @@ def main(options: Options) -> None:
     for robot in options.robots:
         print(f"\n| {robot} trained on | {' | '.join(GROUNDS)} |\n|---|---|---|---|")
         for trained in GROUNDS:
-            runs = [way for job, way in ways.items() if (job.robot, job.ground) == (robot, trained)]
-            cells = [cell([way[ground] for way in runs]) for ground in GROUNDS]
+            cells = [cell(select(ways, robot, trained, ground)) for ground in GROUNDS]
             print(f"| {trained} | {' | '.join(cells)} |")
     draw(options.robots, ways)
 

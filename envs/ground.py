@@ -29,7 +29,7 @@ FORCE, DEPTH, POWER, SPEED = "sand/force", "sand/depth", "sand/power", "sand/spe
 RIGID = "rigid ground"
 """Name of a geom that carries the robot on purpose, beside the sand."""
 _BESIDE = "sand beside rigid ground"
-_EDGE = 50.0  # half the width of each [m]
+_REACH = 1000.0  # half the width of each [m]; chosen: more than a cheetah runs in an episode
 _CONTACT = (
     "contype", "conaffinity", "condim", "priority", "friction", "solmix", "solref", "solimp",
     "margin", "gap",
@@ -40,6 +40,7 @@ def put_on_sand(
     spec: mujoco.MjSpec,
     sands: Sequence[SandSpec],
     *,
+    rigid: float | None = None,
     sensors: bool = True,
     tunable: bool = False,
     cut: float = 0.0,
@@ -56,6 +57,8 @@ def put_on_sand(
         spec: the model to be; it is changed.
         sands: one or several, with the instances `sand`, `sand_2`, ...; without a surface a sand is
             the level plane where the floor was.
+        rigid: the x up to which the floor stays [m], with level sand from there; None for sand
+            everywhere.
         sensors: whether to add sensors of the sand to the model (`envs.figures`).
         tunable: whether instances can be tuned at run time.
         cut: depth at which a plane of sand without memory is rendered, to show what is buried [m].
@@ -65,9 +68,10 @@ def put_on_sand(
         The model.
 
     Raises:
-        InputError: the model has no floor and a sand has no surface.
+        InputError: the model has no floor and a sand has no surface; `rigid` is not a number, or
+            the sand beside it would not be level.
     """
-    placed = place(spec, sands, cut=cut, tile=tile)
+    placed = place(spec, sands, rigid=rigid, cut=cut, tile=tile)
     names, bare = [], spec.copy()
     for sand in placed:
         if as_memory(sand.memory) is not None:
@@ -84,31 +88,13 @@ def put_on_sand(
     return model
 
 
-def add_rigid_ground(spec: mujoco.MjSpec, end: float) -> None:
-    """Add a block with the height and contacts of the floor up to x = `end`, then a bed of sand.
-
-    Raises:
-        InputError: `end` is not a number, or the robot would start on nothing.
-    """
-    if not isinstance(end, Real) or isinstance(end, bool) or not end > -_EDGE:
-        raise InputError(
-            f"rigid must be where the rigid floor ends, above -{_EDGE:g} m, not {shown(end)}"
-        )
-    floors = [geom for geom in spec.worldbody.geoms if _is_floor(geom)]
-    floor = max(floors, key=lambda geom: geom.pos[2])
-    edge, box, size = min(float(end), _EDGE), mujoco.mjtGeom.mjGEOM_BOX, [_EDGE] * 3
-    sand = spec.worldbody.add_geom(name=_BESIDE, type=box, size=size, contype=0, conaffinity=0)
-    sand.pos = [edge + _EDGE, 0, floor.pos[2] - _EDGE]
-    rigid = spec.worldbody.add_geom(name=RIGID, type=box, size=size, rgba=[0.45, 0.47, 0.5, 1])
-    rigid.pos = [edge - _EDGE, 0, floor.pos[2] - _EDGE]
-    if edge == _EDGE:  # contacts as on the floor, to the last bit
-        rigid.type, rigid.pos = mujoco.mjtGeom.mjGEOM_PLANE, [0, 0, floor.pos[2]]
-    for name in _CONTACT:
-        setattr(rigid, name, getattr(floor, name))
-
-
 def place(
-    spec: mujoco.MjSpec, sands: Sequence[SandSpec], *, cut: float = 0.0, tile: float = TILE
+    spec: mujoco.MjSpec,
+    sands: Sequence[SandSpec],
+    *,
+    rigid: float | None = None,
+    cut: float = 0.0,
+    tile: float = TILE,
 ) -> list[SandSpec]:
     """Prepare a model for sand in place of its floor; see `put_on_sand` for the changes.
 
@@ -125,7 +111,14 @@ def place(
     surfaces = [
         surface_of(sand.surface) if sand.surface else _surface_of(bare, floors) for sand in sands
     ]
-    if spec.geom(_BESIDE) is not None:
+    if rigid is not None:
+        if cut or any(sand.surface for sand in sands):
+            raise InputError(
+                "rigid needs level sand, and a robot that stands on it: leave surface and dunes "
+                "out, or rigid"
+            )
+        height = _surface_of(bare, floors).height
+        _add_rigid_ground(spec, floors[0], height, rigid)
         surfaces = [Bed(_BESIDE) for _ in sands]
     add_daylight(spec)
     _paint(spec, floors, surfaces, cut, tile)
@@ -159,10 +152,10 @@ def quiet() -> Iterator[None]:
 
 
 def _keep_extent(spec: mujoco.MjSpec) -> mujoco.MjModel:
-    """Keep the clipping planes of a model without dunes and rigid ground; return that model."""
+    """Keep the near and far clipping planes of a model without dunes; return that model."""
     bare = spec.copy()
     for geom in bare.worldbody.geoms:
-        if geom.type == mujoco.mjtGeom.mjGEOM_HFIELD or geom.name in (RIGID, _BESIDE):
+        if geom.type == mujoco.mjtGeom.mjGEOM_HFIELD:
             bare.delete(geom)
     with quiet():
         model = bare.compile()
@@ -189,7 +182,33 @@ def _give_names(elements: Sequence[Any], stem: str, same_kind: Sequence[Any]) ->
 
 
 def _is_floor(geom: mujoco.MjsGeom) -> bool:
-    return geom.type == mujoco.mjtGeom.mjGEOM_PLANE and geom.name != RIGID
+    return geom.type == mujoco.mjtGeom.mjGEOM_PLANE
+
+
+def _add_rigid_ground(
+    spec: mujoco.MjSpec, floor: mujoco.MjsGeom, height: float, end: float
+) -> None:
+    """Add a block with the contacts of the floor up to x = `end`, then a bed of sand."""
+    real = isinstance(end, Real) and not isinstance(end, bool)
+    if not real or not (abs(end) < _REACH or end == math.inf):
+        raise InputError(
+            f"rigid must be where the rigid floor ends, within {_REACH:g} m, or inf, not "
+            f"{shown(end)}"
+        )
+    sand, rigid = (
+        spec.worldbody.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_BOX, size=[_REACH] * 3)
+        for name in (_BESIDE, RIGID)
+    )
+    sand.contype = sand.conaffinity = 0
+    rigid.rgba = [0.45, 0.47, 0.5, 1]
+    for name in _CONTACT:
+        setattr(rigid, name, getattr(floor, name))
+    if end == math.inf:  # contacts as on the floor, to the last bit, and sand out of reach
+        rigid.type = floor.type
+        rigid.pos, sand.pos = [0, 0, height], [0, 0, height - 2 * _REACH]
+    else:
+        for geom, x in ((sand, end + _REACH), (rigid, end - _REACH)):
+            geom.pos = [x, 0, height - _REACH]
 
 
 def _surface_of(model: mujoco.MjModel, floors: Sequence[mujoco.MjsGeom]) -> Plane:

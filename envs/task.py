@@ -27,7 +27,7 @@ from mjgranular import HeightField, InputError, Medium, Plane, SandSpec, Surface
 from mjgranular._util.checks import check_count
 from mjgranular.envs.dunes import DUNES, Dunes, add_dunes
 from mjgranular.envs.figures import Figures
-from mjgranular.envs.ground import add_rigid_ground, put_on_sand
+from mjgranular.envs.ground import put_on_sand
 from mjgranular.envs.options import check_option
 from mjgranular.envs.ranges import (
     Choice,
@@ -208,6 +208,7 @@ class Task(SandSpec, ABC):
         model = put_on_sand(
             spec,
             sands,
+            rigid=self.rigid,
             tunable=self.randomise is not None,
             cut=self.cut,
             tile=self.tile,
@@ -215,18 +216,10 @@ class Task(SandSpec, ABC):
         return model, Figures(model, sands), np.array(model.opt.gravity)
 
     def scene(self) -> mujoco.MjSpec:
-        """Return the robot, with dunes or rigid ground, before sand replaces the floor."""
+        """Return the robot, with dunes if sampled, before sand replaces the floor."""
         spec = self.robot()
-        dunes = any(choice.surface == "dunes" for choice in self.choices)
-        if dunes:
+        if any(choice.surface == "dunes" for choice in self.choices):
             add_dunes(spec, self.dunes)
-        if self.rigid is not None:
-            if dunes or self.surface is not None or self.cut:
-                raise InputError(
-                    "rigid needs level sand, and a robot that stands on it: leave surface and "
-                    "dunes out, or rigid"
-                )
-            add_rigid_ground(spec, self.rigid)
         return spec
 
     @property

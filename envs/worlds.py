@@ -47,7 +47,7 @@ class Worlds:
                 "surfaces out of randomise (strength, density and slope may be drawn)"
             )
         spec = task.scene()
-        (sand,) = place(spec, task.sands)
+        (sand,) = place(spec, task.sands, rigid=task.rigid)
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
         spec.option.solver = mujoco.mjtSolver.mjSOL_NEWTON  # MuJoCo Warp has no PGS
         with quiet():

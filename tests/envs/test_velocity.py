@@ -212,10 +212,10 @@ def test_part_of_the_ground_can_be_rigid():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"rigid": math.nan}, "above -50 m, not nan"),
-        ({"rigid": -60.0}, "above -50 m, not -60"),
-        ({"rigid": "0.5"}, "above -50 m, not '0.5'"),
-        ({"rigid": True}, "above -50 m, not True"),
+        ({"rigid": math.nan}, "within 1000 m, or inf, not nan"),
+        ({"rigid": -2000.0}, "within 1000 m, or inf, not -2000"),
+        ({"rigid": "0.5"}, "within 1000 m, or inf, not '0.5'"),
+        ({"rigid": True}, "within 1000 m, or inf, not True"),
         ({"rigid": 0.5, "surface": "plane slope=0.1"}, "level sand"),
         ({"rigid": 0.5, "randomise": {"surfaces": ("plane", "dunes")}}, "level sand"),
     ],
