@@ -26,13 +26,13 @@ from mjgranular.surface.choice import surface_of
 FORCE, DEPTH, POWER, SPEED = "sand/force", "sand/depth", "sand/power", "sand/speed"
 """Sensors of all bodies together; the name of a sand instance follows after "/"."""
 
-RIGID = "rigid ground"
+RIGID = "mjgranular rigid ground"
 """Name of a geom that carries the robot on purpose, beside the sand."""
-_BESIDE = "sand beside rigid ground"
+_BESIDE = "mjgranular sand"
 _REACH = 1000.0  # half the width of each [m]; chosen: more than a cheetah runs in an episode
 _CONTACT = (
     "contype", "conaffinity", "condim", "priority", "friction", "solmix", "solref", "solimp",
-    "margin", "gap",
+    "margin", "gap", "adhesion", "surfacevel",
 )  # fmt: skip
 
 
@@ -108,18 +108,21 @@ def place(
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.density = spec.option.viscosity = 0.0
     _let_meet(spec)
-    surfaces = [
-        surface_of(sand.surface) if sand.surface else _surface_of(bare, floors) for sand in sands
-    ]
     if rigid is not None:
-        if cut or any(sand.surface for sand in sands):
+        if not floors or cut or any(sand.surface for sand in sands):
             raise InputError(
-                "rigid needs level sand, and a robot that stands on it: leave surface and dunes "
-                "out, or rigid"
+                "rigid needs a floor in the model, level sand, and a robot that stands on it: "
+                "leave surface and dunes out, or rigid"
             )
-        height = _surface_of(bare, floors).height
-        _add_rigid_ground(spec, floors[0], height, rigid)
-        surfaces = [Bed(_BESIDE) for _ in sands]
+        solid = [floor for floor in floors if floor.contype or floor.conaffinity] or floors
+        highest = max(solid, key=lambda floor: bare.geom(floor.name).pos[2])
+        _add_rigid_ground(spec, highest, _surface_of(bare, solid).height, rigid)
+        surfaces: list[Surface] = [Bed(_BESIDE) for _ in sands]
+    else:
+        surfaces = [
+            surface_of(sand.surface) if sand.surface else _surface_of(bare, floors)
+            for sand in sands
+        ]
     add_daylight(spec)
     _paint(spec, floors, surfaces, cut, tile)
     _give_names(spec.bodies, "body", spec.bodies)  # sensors find bodies by name
@@ -200,7 +203,7 @@ def _add_rigid_ground(
         for name in (_BESIDE, RIGID)
     )
     sand.contype = sand.conaffinity = 0
-    rigid.rgba = [0.45, 0.47, 0.5, 1]
+    rigid.material, rigid.rgba = "", [0.45, 0.47, 0.5, 1]
     for name in _CONTACT:
         setattr(rigid, name, getattr(floor, name))
     if end == math.inf:  # contacts as on the floor, to the last bit, and sand out of reach

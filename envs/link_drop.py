@@ -83,6 +83,8 @@ class LinkDrop(Task):
                 raise InputError(
                     f"{name} must be (low, high), positive and in this order, not {(low, high)}"
                 )
+        if self.rigid is not None:
+            raise InputError("LinkDrop drops a link into sand: leave rigid out")
 
     @cached_property
     def link(self) -> Link:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import math
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -41,9 +42,17 @@ err = _PlainConsole(stderr=True)
 
 
 def print_json(content: Any) -> None:
-    """Write one JSON value to standard output."""
-    json.dump(content, sys.stdout, indent=2, allow_nan=False)
+    """Write one JSON value to standard output; infinite numbers, which JSON has not, as words."""
+    json.dump(_with_words(content), sys.stdout, indent=2, allow_nan=False)
     sys.stdout.write("\n")
+
+
+def _with_words(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _with_words(each) for name, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_with_words(each) for each in value]
+    return str(value) if isinstance(value, float) and math.isinf(value) else value
 
 
 def table(

@@ -189,8 +189,8 @@ def _take_over(where: str, run: Run, model: Any, env: Any) -> None:
         model.policy.load_state_dict(other.model.state_dict())
     except RuntimeError:
         raise InputError(
-            f"start_from: {where} has other weights than a policy with the arguments "
-            f"{shown(dict(run.settings.policy))}; it has {shown(dict(other.run.settings.policy))}"
+            f"start_from: the weights of {where} do not fit: policy and use_sde must be as in its "
+            "settings"
         ) from None
     other.normalizer.restore(env)
 

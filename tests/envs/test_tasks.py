@@ -20,6 +20,7 @@ import mjgranular.envs
 from mjgranular import InputError, Plane, RenderError, Sand, UnknownNameError
 from mjgranular.envs import SandEnv, on_sand, tasks
 from mjgranular.envs.gaits import gait, gaits
+from mjgranular.envs.ground import RIGID
 from mjgranular.envs.ids import id_of
 from mjgranular.law.validity import findings_of, found_at
 from mjgranular.models import Link
@@ -452,7 +453,29 @@ def test_rigid_ground_is_the_floor_of_the_robots_own_model(name):
     np.testing.assert_allclose(env.data.qpos, data.qpos, atol=1e-9)
 
 
-@pytest.mark.parametrize("name", ["ChainSwim", "Swimmer"])
-def test_what_is_buried_has_no_rigid_ground(name):
-    with pytest.raises(InputError, match="a robot that stands on it"):
+@pytest.mark.parametrize("name", ["ChainSwim", "Swimmer", "LinkDrop"])
+def test_what_does_not_stand_on_the_ground_has_no_rigid_ground(name):
+    with pytest.raises(InputError, match="rigid"):
         _ = tasks[name](rigid=0.0).model
+
+
+def test_rigid_ground_has_the_contacts_of_the_floor_that_carries():
+    class Drawn(tasks["Hopper"]):
+        def robot(self):
+            spec = super().robot()
+            spec.geom("floor").contype = spec.geom("floor").conaffinity = 0
+            plane = mujoco.mjtGeom.mjGEOM_PLANE
+            spec.worldbody.add_geom(
+                type=plane, size=[9, 9, 1], pos=[0, 0, -0.1], friction=[2, 0, 0]
+            )
+            return spec
+
+    for end in (0.5, math.inf):
+        model = Drawn(rigid=end).model
+        rigid = model.geom(RIGID)
+        assert rigid.friction.tolist() == [2, 0, 0]
+        assert rigid.contype.item() == 1
+        data = mujoco.MjData(model)
+        mujoco.mj_kinematics(model, data)
+        block = rigid.type.item() == mujoco.mjtGeom.mjGEOM_BOX
+        assert data.geom(RIGID).xpos[2] + block * rigid.size[2] == pytest.approx(-0.1)

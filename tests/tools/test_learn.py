@@ -1,6 +1,7 @@
 """Training: what is interrupted goes on, what is wrong is refused, what is counted is right."""
 
 import json
+import math
 import os
 import shutil
 import signal
@@ -17,6 +18,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from mjgranular._util import files
 from mjgranular.cli import main
+from mjgranular.cli.console import print_json
 from mjgranular.errors import (
     GranularWarning,
     InputError,
@@ -134,7 +136,7 @@ def test_a_training_goes_on_from_the_policy_of_another(trained, tmp_path):
             r"has algorithm 'ppo', net \[64, 64\].*this run has algorithm 'ppo', net \[32\]",
         ),
         ("activation=relu", "activation 'tanh'.* but this run has .*activation 'relu'"),
-        ("use_sde=true", "has other weights"),
+        ("use_sde=true", "do not fit: policy and use_sde must be as in its settings"),
         ("start_from=nowhere", "no run folder or policy 'nowhere'"),
     ],
 )
@@ -149,6 +151,11 @@ def test_options_of_an_environment_may_be_infinite(tmp_path):
     settings = quick("ppo", "environment.g=inf")
     begin_run(tmp_path / "run", ID, settings, seed=0)
     assert open_run(tmp_path / "run").settings == settings
+
+
+def test_json_on_standard_output_has_words_for_infinite_numbers(capfd):
+    print_json({"g": [math.inf, -math.inf, 1.5], "a": {"b": True}})
+    assert json.loads(capfd.readouterr().out) == {"g": ["inf", "-inf", 1.5], "a": {"b": True}}
 
 
 @pytest.mark.slow
