@@ -21,6 +21,7 @@ from mjgranular import InputError, Plane, RenderError, Sand, UnknownNameError
 from mjgranular.envs import SandEnv, on_sand, tasks
 from mjgranular.envs.gaits import gait, gaits
 from mjgranular.envs.ground import RIGID
+from mjgranular.envs.gym_planar import Hopper
 from mjgranular.envs.ids import id_of
 from mjgranular.law.validity import findings_of, found_at
 from mjgranular.models import Link
@@ -460,7 +461,7 @@ def test_what_does_not_stand_on_the_ground_has_no_rigid_ground(name):
 
 
 def test_rigid_ground_has_the_contacts_of_the_floor_that_carries():
-    class Drawn(tasks["Hopper"]):
+    class Drawn(Hopper):
         def robot(self):
             spec = super().robot()
             spec.geom("floor").contype = spec.geom("floor").conaffinity = 0
