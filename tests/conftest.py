@@ -10,6 +10,14 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 # Before mujoco: it chooses how to draw without a screen.
 import mjgranular  # isort: skip  # noqa: F401
+
+# Before anything is drawn: Triton, which PyTorch's CUDA build imports, ends the process with a
+# segmentation fault if Mesa has drawn in it before.
+from contextlib import suppress
+
+with suppress(ImportError):
+    import triton  # noqa: F401  # pyright: ignore[reportMissingImports]
+
 import importlib.util
 import json
 import shutil
