@@ -186,10 +186,6 @@ def senses_forces(model: mujoco.MjModel) -> bool:
 
 
 def refusals(scheme: Scheme) -> np.ndarray:
-    """Return messages for MuJoCo: one per status in `REFUSED`, one for disabled passive forces.
-
-    Returns:
-        Messages of `REFUSAL_SIZE` bytes.
-    """
+    """Return a message of `REFUSAL_SIZE` bytes for each status in `REFUSED`, and `NO_PASSIVE`."""
     texts = [*(scheme.refusal(status) for status in REFUSED), NO_PASSIVE]
     return np.array([f"mjgranular: {text}".encode() for text in texts], f"S{REFUSAL_SIZE}")

@@ -47,11 +47,7 @@ def config_texts(model: int, instance: int, keys: tuple[str, ...]) -> dict[str, 
 
 
 def _text_of(raw: bytes | None) -> str:
-    """Decode a string of MuJoCo, "" for none, with escapes for bytes that are not UTF-8.
-
-    A model file may contain any bytes; MuJoCo's Python bindings raise `UnicodeDecodeError` for
-    them.
-    """
+    """Decode a string of MuJoCo, "" for none; a model file may contain bytes that are not UTF-8."""
     return (raw or b"").decode(errors="backslashreplace")
 
 
@@ -86,11 +82,7 @@ def bodies_of_sands(model: mujoco.MjModel) -> Iterator[tuple[str, set[int]]]:
 def material_in(
     model: mujoco.MjModel, name: str = "sand"
 ) -> tuple[Medium, Law, Surface, Memory | None]:
-    """Return the sand that a model has inside `mj_step`, with its defaults resolved.
-
-    Returns:
-        Its medium, law with its constants, surface without memory, and memory.
-    """
+    """Return medium, law, surface and memory of a sand inside `mj_step`, with defaults resolved."""
     sand = _spec_of(model, instance_of(model, name))
     medium, law = material_of(model, sand)
     return medium, law, surface_of(sand.surface), as_memory(sand.memory)

@@ -50,8 +50,7 @@ class Image:
     def copy_for(self, data: int) -> np.ndarray:
         """Make the block of the `mjData` at an address; what reads the model is linked later.
 
-        Returns:
-            Words, which must not move as long as the `mjData` lives.
+        The words must not move as long as the `mjData` lives.
         """
         block = aligned(self.content)
         words = block.view(np.int64)

@@ -245,16 +245,10 @@ def make_trampolines(
     init: Callable[[int, int, int, int], object],
     counts: Mapping[str, Callable[[int, int, int], object]],
 ) -> dict[str, int]:
-    """Make the functions of a plugin before any of it is compiled.
+    """Make the functions of a plugin, by the fields of `mjpPlugin`, before any of it is compiled.
 
-    Args:
-        name: name of the plugin.
-        init: `init(model, data, instance, answer)` writes at the address `answer` (`Answer`).
-        counts: for `nstate` and `nsensordata` a function `count(model, instance, place)`, which
-            writes the number of values of an instance at an address.
-
-    Returns:
-        Addresses by the names of the fields of `mjpPlugin`.
+    `init(model, data, instance, answer)` writes at the address `answer` (`Answer`). For `nstate`
+    and `nsensordata`, `count(model, instance, place)` writes the number of values at an address.
     """
     common = _common()
     name = name.replace(".", "_")

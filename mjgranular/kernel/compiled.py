@@ -34,10 +34,6 @@ class Kernel:
 
     It can be called from Python too, and is then compiled once more: the wrapper for such calls
     takes a fifth of the time to compile a program, and most kernels are never called so.
-
-    Attributes:
-        py_func: the function.
-        dispatcher: numba's.
     """
 
     def __init__(self, py_func: FunctionType, dispatcher: Any) -> None:

@@ -32,12 +32,9 @@ def publish_functions(library: ctypes.CDLL, names: Iterable[str]) -> None:
 
 
 def c_function(name: str, result: str, *arguments: str) -> Any:
-    """Declare a registered C function for kernels.
+    """Declare a registered C function for kernels, with numba's names of its types.
 
-    Args:
-        name: name it is registered under.
-        result: numba's name of its result type, `void` for none.
-        arguments: numba's names of its argument types; a pointer is an `int64`.
+    A pointer is an `int64`; the result of a function without one is `void`.
     """
     returned, *taken = (getattr(types, name) for name in (result, *arguments))
     return types.ExternalFunction(name, returned(*taken))
@@ -83,11 +80,7 @@ def _call_at(context: Any, builder: Any, signature: Any, args: Any) -> Any:
 
 
 def load_functions(code: str, names: Iterable[str]) -> dict[str, int]:
-    """Compile functions written in LLVM IR; they live as long as the process.
-
-    Returns:
-        Their addresses.
-    """
+    """Compile functions in LLVM IR that live as long as the process; return their addresses."""
     engine = _engine()
     engine.add_module(llvm.parse_assembly(code))
     engine.finalize_object()

@@ -83,9 +83,7 @@ class _Task(Generic[T]):
 def run_in_worker(work: Callable[[], T]) -> T:
     """Run a function in a separate thread, and wait until it ends.
 
-    Raises:
-        BaseException: what interrupted the waiting, once the work is done or has been canceled;
-            else what the work raised.
+    What interrupts the waiting is raised once the work is done or has been canceled.
     """
     task = _Task(work)
     interrupt = None
@@ -122,11 +120,7 @@ def is_main() -> bool:
 
 
 def cancellation_point() -> None:
-    """Cancel work whose result is no longer awaited; called where canceling is safe.
-
-    Raises:
-        KeyboardInterrupt: the caller that waited was interrupted.
-    """
+    """Cancel work whose result is no longer awaited; called where canceling is safe."""
     task = getattr(_here, "task", None)
     if task is not None and task.unwanted:
         raise KeyboardInterrupt

@@ -127,13 +127,7 @@ def wet_part(depth, a, b):
 
 @partial(compiled, inline=True)
 def wet_share(depth, a, b):
-    """Return the immersed share of a facet's area: `wet_part`'s mean depth, derived by depth.
-
-    Args:
-        depth: depth of the facet's middle [m].
-        a: its rise along the first half edge [m].
-        b: its rise along the second [m].
-    """
+    """Return the immersed share of a facet's area: `wet_part`'s mean depth, derived by depth."""
     size_a, size_b, size = abs(a), abs(b), abs(depth)
     first = size_a >= size_b
     h, k = choose(first, size_a, size_b), choose(first, size_b, size_a)

@@ -22,14 +22,9 @@ _LEAST_PRODUCT = 1e-290
 def leading_slope(c, h, k):
     """Return `patch.leading_part` for c, h and k, and its derivatives by x = c/h and y = k/h.
 
-    Args:
-        c: normal velocity at the facet's middle.
-        h: size of its larger rise along a half edge, positive.
-        k: size of its smaller rise.
-
-    Returns:
-        share of the area that leads, centroid along the edge of h and along that of k; the
-            derivatives of each of the three by x and by y; 1/h.
+    c is the normal velocity at the facet's middle, h > 0 and k the sizes of its larger and smaller
+    rise along a half edge. The numbers are the share that leads, the centroid along the edge of h
+    and along that of k; the derivatives of each of the three by x and by y; 1/h.
     """
     size = abs(c)
     trapezium = size <= h - k

@@ -79,11 +79,8 @@ def not_raised(law, facet, pose, centre, normal, up, mean, g):
 def raised_kernel(rate: bool) -> Any:
     """Make a kernel `raised(law, facet, pose, centre, normal, up, mean, g)`: the factor.
 
-    The law's record has `cone` [widths]; with a rate also `stiffness`, xi_n / g [kg/m^3], and
-    `shear` and `rate_1` to `rate_3` (`shear_constants`).
-
-    Args:
-        rate: whether fast shear is included.
+    The law's record has `cone` [widths]; with fast shear (`rate`) also `stiffness`, xi_n / g
+    [kg/m^3], and `shear` and `rate_1` to `rate_3` (`shear_constants`).
     """
 
     @partial(compiled, inline=True)

@@ -60,10 +60,8 @@ def sideways_slope(v):
 def planar_response(law, sin_b, cos_b, sin_g, cos_g):
     """Return alpha_z and alpha_x of Li et al. for tilt b and attack g [N/cm^3], with derivatives.
 
-    The Fourier terms of 2b and g, written in products of their sines and cosines.
-
-    Returns:
-        alpha_z, its derivatives by g and by b; alpha_x, its derivatives.
+    The Fourier terms of 2b and g, written in products of their sines and cosines. Each number is
+    followed by its derivatives by g and by b.
     """
     cos_2b, sin_2b = cos_b * cos_b - sin_b * sin_b, 2.0 * sin_b * cos_b
     s, c = sin_2b * cos_g, cos_2b * sin_g
@@ -83,14 +81,9 @@ def planar_response(law, sin_b, cos_b, sin_g, cos_g):
 def level_response(law, rise, down):
     """Return the resistance of a level element, which is the same in all horizontal directions.
 
-    Args:
-        law: record of the law.
-        rise: v.z.
-        down: n.z, 1 or -1 except for rounding.
-
-    Returns:
-        Resistance along the motion over its horizontal part, and alpha_z [N/cm^3], each with its
-            derivatives by v.z and by n.z.
+    Given are v.z and n.z, which is 1 or -1 except for rounding. Returned are the resistance along
+    the motion over its horizontal part, and alpha_z [N/cm^3], each with its derivatives by v.z and
+    n.z.
     """
     square = down * down
     flat, turn = law.C01 + (law.C11 + law.Cm11) * square, law.B01 + (law.B11 + law.Bm11) * square
@@ -259,11 +252,7 @@ class Rft2dLaw(RftLaw):
 
 
 def check_plates(law: Any) -> None:
-    """Check options of laws of plates.
-
-    Raises:
-        InputError: an option is negative, or there is inertia of sand without its density.
-    """
+    """Check options of laws of plates: inertia of sand needs its density."""
     law.check_options("density", "scale")
     if (law.inertia > 0 or law.added > 0) and law.density == 0:
         name = type(law).__name__

@@ -46,17 +46,9 @@ def around(c, s):
 def at_corner(table, at, h, k, h_x, k_x, i, j, i_y, j_y):
     """Return a corner's contribution to an interpolated number, and its derivatives by x and y.
 
-    Args:
-        table: numbers.
-        at: index of the number at the corner; its slopes by x and by y follow it.
-        h: weight of the number along x.
-        k: weight of its slope along x.
-        h_x: derivative of h.
-        k_x: derivative of k.
-        i: weight of the number along y.
-        j: weight of its slope along y.
-        i_y: derivative of i.
-        j_y: derivative of j.
+    The number at the corner has the index `at`; its slopes by x and by y follow it. Weights of the
+    number and of its slope are h and k along x, i and j along y, with derivatives h_x, k_x, i_y,
+    j_y.
     """
     f, f_x, f_y = table[at], table[at + 1], table[at + 2]
     along, turned = f * h + f_x * k, f * h_x + f_x * k_x
@@ -150,12 +142,7 @@ def interpolation_table(name: str) -> np.ndarray:
 
 
 def _slopes(values: np.ndarray, steps: np.ndarray) -> np.ndarray:
-    """Return slopes of periodic rows that do not overshoot: F. N. Fritsch, J. Butland 1984.
-
-    Args:
-        values: rows; the last is the first.
-        steps: distances between rows.
-    """
+    """Return slopes of periodic rows that do not overshoot: F. N. Fritsch, J. Butland 1984."""
     shape = (-1, *[1] * (values.ndim - 1))
     after, steps = np.diff(values, axis=0) / steps.reshape(shape), steps.reshape(shape)
     before, last = np.roll(after, 1, axis=0), np.roll(steps, 1, axis=0)

@@ -54,17 +54,8 @@ RFT3D_DTYPE = np.dtype(
 def polynomial_slope(c, x1, x2, x3, x22, x33, x23):
     """Return one of the three functions, and its three derivatives.
 
-    It is a polynomial in x1 whose coefficients are polynomials in x2 and x3 with their own
-    derivatives.
-
-    Args:
-        c: coefficients.
-        x1: -v.z, as in `rft3d_slope`.
-        x2: -m.z.
-        x3: m.v.
-        x22: x2 x2, which all three functions share.
-        x33: x3 x3.
-        x23: x2 x3.
+    It is a polynomial in x1 = -v.z whose coefficients are polynomials in x2 = -m.z and x3 = m.v
+    with their own derivatives; x22, x33 and x23 are products that all three functions share.
     """
     a2 = c[4] + c[14] * x2 + c[17] * x3
     a1 = (c[1] + c[7] * x2 + c[9] * x3) + (c[13] * x22 + c[18] * x33 + c[19] * x23)

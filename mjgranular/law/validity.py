@@ -82,12 +82,8 @@ def found_at(
 ) -> Finding | None:
     """Return the most relevant finding for a motion; None if no run was as fast or thin.
 
-    Of the runs at least as fast and as thin it is the slowest group, and of these the widest.
-
-    Args:
-        findings: findings of the law.
-        froude: Froude number of the motion.
-        grains: width of the body in grains; None if unknown, which counts as wide.
+    Of the runs at least as fast and as thin it is the slowest group, and of these the widest. The
+    width is in grains; None counts as wide.
     """
     fit = [f for f in findings if f.froude >= froude and (grains is None or f.grains <= grains)]
     return min(fit, key=lambda f: (f.froude, -f.grains), default=None)

@@ -90,15 +90,9 @@ def spread_of(model: mujoco.MjModel, geoms: Sequence[int]) -> float:
 def footprint_of(
     model: mujoco.MjModel, geoms: Sequence[int], elements: np.ndarray, cell: float
 ) -> Footprint:
-    """Return the footprint of the geoms that meet the sand.
+    """Return the footprint of the geoms that meet the sand, for cells of that side [m].
 
     It is where a law's elements look for sand: the axis of a rod, the surface of all other geoms.
-
-    Args:
-        model: the model.
-        geoms: their ids.
-        elements: elements of the law.
-        cell: side of a cell [m].
     """
     parts: dict[int, list[np.ndarray]] = {int(geom): [] for geom in elements["geom"]}
     if "half_length" in (elements.dtype.names or ()):
@@ -190,11 +184,9 @@ def _on_arc(radius: float, half: float, cell: float) -> np.ndarray:
 
 
 def _revolved(profile: Sequence[np.ndarray], cell: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return points and normals on a surface of revolution around the z axis.
+    """Return points and normals on a surface of revolution around the z axis, at most a cell apart.
 
-    Args:
-        profile: points (r, z) of it with their normals, shape (n, 4).
-        cell: largest distance between points [m].
+    The profile has points (r, z) with their normals, shape (n, 4).
     """
     points = []
     for r, z, out, up in np.concatenate(profile):
@@ -242,11 +234,7 @@ def _on_mesh(model: mujoco.MjModel, geom: int, cell: float) -> tuple[np.ndarray,
 
 @cache
 def _in_triangle(parts: int) -> np.ndarray:
-    """Return corner weights of the centers of a triangle's parts, each edge divided by `parts`.
-
-    Returns:
-        Shape (parts^2, 3).
-    """
+    """Return corner weights of the centers of the `parts`^2 parts of a triangle, one a row."""
     upright = [(a + 1 / 3, b + 1 / 3) for a in range(parts) for b in range(parts - a)]
     hanging = [(a + 2 / 3, b + 2 / 3) for a in range(parts) for b in range(parts - a - 1)]
     first, second = np.array(upright + hanging).T / parts

@@ -122,16 +122,7 @@ def set_mark(state, size, k, mark):
 
 @compiled
 def corner_of(cell, u, v):
-    """Return the cell that contains a point: its first node, and the point's position in it.
-
-    Args:
-        cell: side of a cell [m].
-        u: coordinate along the first axis [m].
-        v: coordinate along the second [m].
-
-    Returns:
-        (i, j, a, b), with a and b from 0 to 1.
-    """
+    """Return the cell that contains a point (u, v): its first node (i, j), and the place in it."""
     a, b = u / cell, v / cell
     i, j = math.floor(a), math.floor(b)
     return i, j, a - i, b - j
@@ -183,9 +174,7 @@ def mean_at(state, size, blocks, cell, u, v):
 def share_of(a, d):
     """Return the part of a block, `d` after that of a point, within two blocks of the point.
 
-    Args:
-        a: distance of the point from the center of its own block [blocks], -1/2 to 1/2.
-        d: -2 to 2.
+    The point is `a` blocks from the center of its own block, -1/2 to 1/2; d is from -2 to 2.
     """
     if d == -2:
         return 0.5 - a

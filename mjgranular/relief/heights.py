@@ -49,13 +49,7 @@ def checked_state(saved: Any, size: int) -> np.ndarray:
 
 
 def heights_of(state: np.ndarray, memory: Memory, middle: tuple[float, float]) -> Heights:
-    """Return the stored heights around a point.
-
-    Args:
-        state: state of the relief (`relief.grid`).
-        memory: memory of the relief.
-        middle: center of the square, along the axes of the plane [m].
-    """
+    """Return the heights in a relief's state around a point of its plane [m]."""
     size = memory.size
     i, j = square_about(memory, middle)
     places = (i % size)[:, None] * size + j % size

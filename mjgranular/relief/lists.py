@@ -47,16 +47,7 @@ def is_full(state, size):
 
 @compiled
 def claim(state, size, blocks, area, k, base):
-    """Assign a place to a node; the height stored there before is forgotten.
-
-    Args:
-        state: state of the simulation.
-        size: size of the grid.
-        blocks: number of blocks along a side.
-        area: area of a cell [m^2].
-        k: the place.
-        base: key of the node (`base_of`).
-    """
+    """Assign place k to the node with the key `base`; the height that was there is forgotten."""
     height = state[start_of(size, HEIGHT) + k]
     state[FORGOTTEN] += area * height
     add_height(state, size, blocks, k, -height)

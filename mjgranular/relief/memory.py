@@ -136,13 +136,8 @@ class Memory:
 def as_memory(memory: Any) -> Memory | None:
     """Convert an argument to a memory.
 
-    Args:
-        memory: a `Memory`; the side of a cell [m]; True for the defaults; words such as "cell=0.01
-            extent=4", "0.01" and "true", as in MJCF and on the command line; None or False for
-            none.
-
-    Raises:
-        InputError: it is none of these.
+    It may be a `Memory`; the side of a cell [m]; True for the defaults; words such as "cell=0.01
+    extent=4", "0.01" and "true", as in MJCF and on the command line; None or False for none.
     """
     if memory is None or memory is False:
         return None

@@ -68,10 +68,7 @@ def has_edges(relief):
 def lowest_of(foot, turn, shift):
     """Return the height of the lowest corner of the box around a body's points over the plane [m].
 
-    Args:
-        foot: record of `FOOT_DTYPE`.
-        turn: axes of the plane in the body frame, a matrix.
-        shift: position of the body frame along them [m].
+    The plane's axes in the body frame are `turn`; the frame's position along them is `shift` [m].
     """
     n, half = turn.z, read_vector(foot.half, 0)
     reach = abs(n.x) * half.x + abs(n.y) * half.y + abs(n.z) * half.z
@@ -80,14 +77,7 @@ def lowest_of(foot, turn, shift):
 
 @partial(compiled, inline=True)
 def bottom_of(relief, tile, turn, shift):
-    """Return a height over the plane below which no point of a tile is [m].
-
-    Args:
-        relief: record of the surface.
-        tile: number of the tile.
-        turn: axes of the plane in the body frame, a matrix.
-        shift: position of the body frame along them [m].
-    """
+    """Return a height over the plane below which no point of a tile is [m]."""
     sphere = row_of(relief.spheres, tile, 4)
     return dot(turn.z, read_vector(sphere, 0)) + shift.z - sphere[3]
 
@@ -111,10 +101,6 @@ def press_kernel(level: Any, is_flat: bool) -> Any:
     point, to the height of the point or, where the surface rises beside it, to its tangent plane.
     Upright surfaces press nothing down, nor do those that face upward. The points are one tile,
     `LANES` of them.
-
-    Args:
-        level: see `level_kernel`.
-        is_flat: whether the surface is locally plane.
     """
     read, write, room = rows(Skin, LANES).read, rows(float, LANES).write, scratch(5 * LANES)
 

@@ -45,12 +45,7 @@ def highest_of(relief):
 
 @cache
 def level_kernel(probe: Any, is_flat: bool) -> Any:
-    """Make a kernel `level(relief, u, v)`: the surface's height over its own plane [m].
-
-    Args:
-        probe: probe of the surface itself.
-        is_flat: whether that is locally plane.
-    """
+    """Make a kernel `level(relief, u, v)`: the surface's height over its own plane [m]."""
 
     @compiled
     def level(relief, u, v):
@@ -70,10 +65,7 @@ def level_kernel(probe: Any, is_flat: bool) -> Any:
 def look_kernel(probe: Any, is_flat: bool, height: Any) -> Any:
     """Make a kernel `look(relief, point, ahead)`: depth of a point [m], and the normal above it.
 
-    Args:
-        probe: probe of the surface itself.
-        is_flat: whether that is locally plane.
-        height: kernel `height(relief, state, u, v, ahead)`: height of the relevant sand [m].
+    The height of the relevant sand [m] is that of the kernel `height(relief, state, u, v, ahead)`.
     """
     level = level_kernel(probe, is_flat)
 

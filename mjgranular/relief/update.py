@@ -88,13 +88,7 @@ def are_still(table, state, relief, feet):
 
 @cache
 def update_kernel(probe: Any, is_flat: bool, scene_dtype: np.dtype) -> Any:
-    """Make the program `update(table, lead)`, which returns 1 when done.
-
-    Args:
-        probe: probe of the surface without memory.
-        is_flat: whether that is locally plane.
-        scene_dtype: record of law and surface.
-    """
+    """Make the program `update(table, lead)`, which returns 1 when done."""
     level, scene_records = level_kernel(probe, is_flat), records(scene_dtype)
     press, flow = press_kernel(level, is_flat), flow_kernel(level, is_flat)
 

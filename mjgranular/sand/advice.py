@@ -50,16 +50,7 @@ from mjgranular.surface.floors import (
 
 @dataclass(frozen=True)
 class Case:
-    """What is checked: a model and its sand.
-
-    Attributes:
-        model: the model.
-        spec: the sand as the user has described it.
-        geoms: ids of the geoms that meet it.
-        law: the law with its constants.
-        surface: the surface, without memory.
-        memory: memory of the sand, if any.
-    """
+    """What is checked: a model, its sand as described, and what was resolved from that."""
 
     model: mujoco.MjModel
     spec: SandSpec
@@ -438,12 +429,9 @@ def missed_steps(
 ) -> Iterator[str]:
     """Check that the time has not advanced without the sand.
 
-    Args:
-        time: time of the simulation [s].
-        last: when the sand last acted [s]; None for never.
-        step: duration of that step [s].
-        began: initial time of a simulation in which the sand should act from the first step on [s];
-            None if the state may come from elsewhere.
+    It last acted at `last`, None for never, in a step of this size. `began` is the initial time of
+    a simulation in which it should act from the first step on; None if the state may come from
+    elsewhere.
     """
     if last is None:
         if began is not None and time > began + 0.5 * step:

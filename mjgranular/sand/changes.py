@@ -24,12 +24,7 @@ class Original:
 
     Masses, options, actuators and the heights of a height field are not recorded: they are read at
     each step. The position of the root of a tree is not recorded either: the elements do not depend
-    on it.
-
-    Args:
-        model: the model.
-        geoms: ids of the geoms that meet the sand.
-        places: ids of the geoms that are the sand.
+    on it. `geoms` meet the sand, `places` are the sand.
     """
 
     def __init__(self, model: mujoco.MjModel, geoms: Sequence[int], places: Sequence[int]) -> None:
@@ -43,24 +38,12 @@ class Original:
         self._rest = self._digests(model)
 
     def check_shapes(self, model: mujoco.MjModel) -> None:
-        """Check the geoms alone, which takes microseconds.
-
-        Raises:
-            InputError: something was changed; the message names it.
-        """
+        """Check the geoms alone, which takes microseconds."""
         for name in _SHAPES:
             self._compare(model, name, self._geoms)
 
     def check(self, model: mujoco.MjModel, geoms: Sequence[int]) -> None:
-        """Check everything.
-
-        Args:
-            model: the model.
-            geoms: ids of the geoms that the sand's selection matches now.
-
-        Raises:
-            InputError: something was changed; the message names it.
-        """
+        """Check everything; `geoms` are the ids that the sand's selection matches now."""
         for name in _GEOMS:
             self._compare(model, name, self._geoms)
         for name in _BODIES:

@@ -25,15 +25,7 @@ def forget_after_reset(table):
 def guarded_step(program, address, lead):
     """Call a scheme's program, and keep the state that it is called with if that is good.
 
-    A surface with memory is updated after it.
-
-    Args:
-        program: address of the program.
-        address: address of the simulation's table.
-        lead: as for the program [s].
-
-    Returns:
-        What the program returns, or `BAD_STATE`.
+    A surface with memory is updated after it. Return what the program returns, or `BAD_STATE`.
     """
     table = table_at(address)
     if is_bad(table):

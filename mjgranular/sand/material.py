@@ -35,14 +35,6 @@ def material_of(model: mujoco.MjModel, spec: SandSpec) -> tuple[Medium, Law]:
     With a medium alone the law is the medium's default; with a law alone the medium is one that has
     constants for it. With neither, the law is the one that the model names in its custom text
     `LAW_TEXT`, as the package's link does, else that of `DEFAULT_MEDIUM`.
-
-    Args:
-        model: the model.
-        spec: the sand.
-
-    Raises:
-        UnknownNameError: no such medium or law, or a medium without constants for the law; names
-            the media that have them.
     """
     law = spec.law
     if spec.medium is None and law is None:
@@ -67,12 +59,7 @@ def law_named_in(model: mujoco.MjModel) -> str | None:
 
 
 def law_of(law: str | Law | type[Law] | None, medium: Medium) -> Law:
-    """Return the law with a medium's constants; see `get_law`.
-
-    Raises:
-        UnknownNameError: no such law, or no constants for it; names the media that have them.
-        InputError: no medium has constants for it; names those that it needs.
-    """
+    """Return the law with a medium's constants (`get_law`); errors name media that have them."""
     try:
         return get_law(law, medium)
     except UnknownNameError as error:
@@ -91,11 +78,7 @@ def law_of(law: str | Law | type[Law] | None, medium: Medium) -> Law:
 
 
 def medium_for(law: str | Law | type[Law]) -> Medium:
-    """Return the default medium of a law.
-
-    Raises:
-        UnknownNameError: no such law; lists the laws.
-    """
+    """Return the default medium of a law."""
     if isinstance(law, str):
         law, _ = law_in(law)
     kind = type(law) if isinstance(law, Law) else law
@@ -108,12 +91,7 @@ def medium_for(law: str | Law | type[Law]) -> Medium:
 def elements_of(
     model: mujoco.MjModel, geoms: Sequence[int], law: Law, resolution: int | None
 ) -> np.ndarray:
-    """Return the elements of a law; see `Law.elements`.
-
-    Raises:
-        InputError: geoms that the law has no elements for; for a law of links it names the media
-            whose own law takes every shape.
-    """
+    """Return the elements of a law; errors of link laws name the media that take every shape."""
     try:
         return law.elements(model, geoms, resolution)
     except InputError as error:

@@ -139,12 +139,7 @@ def fitted(model: mujoco.MjModel, spec: SandSpec) -> SandSpec:
 
 
 def _scheme_within_step(scheme: SchemeChoice, model: mujoco.MjModel, law: Law) -> SchemeChoice:
-    """Return the scheme for use inside `mj_step`; RK4 evaluates forces four times a step.
-
-    Raises:
-        InputError: the integrator is RK4, and the forces of the law or the scheme belong to the end
-            of the step.
-    """
+    """Return the scheme for use inside `mj_step`; RK4 evaluates forces four times a step."""
     if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
         fine = isinstance(scheme, Auto) and model.opt.timestep <= FINE_STEP
         if law.adds_mass or not (fine or isinstance(scheme, Explicit)):

@@ -451,11 +451,8 @@ class Sand:
     ) -> UnstableError | InputError:
         """Make the error for a program that failed; if the state is bad, restore the last good one.
 
-        Args:
-            data: the simulation.
-            failed: return value of the program.
-            binding: the binding that it was called with; None for that of `data`.
-            own: whether `xfrc_applied` held only the user's wrenches when the state was kept.
+        `binding` is the one that it was called with; None for that of `data`. `own` says whether
+        `xfrc_applied` held only the user's wrenches when the state was kept.
         """
         model = self._model
         if failed in REFUSED:

@@ -56,12 +56,7 @@ class SandRegistry:
         self._shares: list[Binding] = []  # of shared Sands, in the order they were added
 
     def add(self, sand: object, model: mujoco.MjModel, binding: Binding, *, shared: bool) -> None:
-        """Register a Sand.
-
-        Raises:
-            InputError: another acts on one of its bodies, and at least one of the two is not
-                shared.
-        """
+        """Register a Sand; raise if another acts on one of its bodies, and not both are shared."""
         bodies = frozenset(binding.bodies["body"].tolist())
         for other in list(self._members.values()):
             common = bodies & other.bodies

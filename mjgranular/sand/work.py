@@ -25,20 +25,12 @@ from mjgranular.sand.sand import Sand
 
 @compiled
 def add_work(address, velocity, work, h):
-    """Add the work of the last step's wrenches.
+    """Add the work of the last step's wrenches [J], and return the number of bodies.
 
     A constant force F turns the velocity v into v' and does the work h F (v + v') / 2, exactly the
     change of kinetic energy, for any step size. The power at the start or at the end of the step
-    alone does not give that.
-
-    Args:
-        address: address of the simulation's table (`kernel.memory`).
-        velocity: address of `qvel` at the end of the step; all else is from its start.
-        work: address of a number for each body [J].
-        h: time step [s].
-
-    Returns:
-        The number of bodies.
+    alone does not give that. `velocity` is the address of `qvel` at the end of the step; all else
+    is from its start.
     """
     table = table_at(address)
     bodies = body_records(table[BODIES], table[BODY_COUNT])
@@ -57,12 +49,7 @@ def add_work(address, velocity, work, h):
 
 
 class WorkMeter:
-    """Counts the work of the sand on the bodies of one simulation.
-
-    Args:
-        sand: the sand that acts on it by `Sand.step`.
-        data: the simulation.
-    """
+    """Counts the work of the sand on the bodies of a simulation that `Sand.step` advances."""
 
     def __init__(self, sand: Sand, data: mujoco.MjData) -> None:
         self._model, self._data = sand.model, data

@@ -50,13 +50,7 @@ def one_of(mask, a, b):
 
 @partial(compiled, inline=True)
 def momentum_of(sand, v, h):
-    """Return the `Momentum` of sand that moves along (`AddedMass`).
-
-    Args:
-        sand: the sand.
-        v: velocity of the element at the start of the step [m/s].
-        h: time step [s].
-    """
+    """Return the `Momentum` of moving sand (`AddedMass`) for an element's initial velocity."""
     s = max(dot(sand.normal, v), 0.0)
     return Momentum(sand.normal, sand.mass / h, sand.before * s / h)
 
@@ -65,13 +59,8 @@ def momentum_of(sand, v, h):
 def most_given(n, force, v):
     """Return the bound on a in (A5), not negative, and the values that its derivative by v needs.
 
-    Args:
-        n: normal of the element.
-        force: resistance at v [N]; force and v may both be divided by the same speed.
-        v: velocity of the element.
-
-    Returns:
-        The bound; whether it is the bound of power; and 1 / (n.v), or 0 where the element trails.
+    Those are whether it is the bound of power; and 1 / (n.v), or 0 where the element trails. The
+    resistance `force` at v and v itself may both be divided by the same speed.
     """
     s = dot(n, v)
     leads = s > _NOTHING
@@ -84,12 +73,7 @@ def most_given(n, force, v):
 
 @partial(compiled, inline=True)
 def share_after_turn(now, before):
-    """Return the factor by which a body's sand is slower than its elements' speeds (A4).
-
-    Args:
-        now: energy of its sand at these speeds.
-        before: the same with the speeds before the body turned.
-    """
+    """Return by how much a body's sand slows down, from its energy now and before a turn (A4)."""
     return math.sqrt(before / now) if now > before else 1.0
 
 
@@ -201,7 +185,7 @@ def added_kernel(kernel: LawKernel) -> Any:
 def kink_kernel(kernel: LawKernel) -> Any:
     """Make a kernel `is_near_kink(tile, lane, by_v, by_force)`: whether (A5) may begin or end.
 
-    Args of the kernel: a tile and a lane; the changes of velocity and force there.
+    The last two arguments are changes of velocity and force.
     """
     lanes, first = kernel.lanes, added_row(kernel) * kernel.lanes
     read = column(Momentum, lanes).read

@@ -73,12 +73,7 @@ def row_at(w, i):
 def add_constraints(w, update):
     """Set h q_c at the velocity `w.velocity`, and add its derivative to the Jacobian.
 
-    Args:
-        w: the workspace.
-        update: origin of friction multipliers: `FRESH`, `NEXT`, `SAME`.
-
-    Returns:
-        The greatest mismatch of a friction loss (`friction_loss`).
+    Return the greatest mismatch of a friction loss. `update` is `FRESH`, `NEXT` or `SAME`.
     """
     clear(w.constraint)
     mismatch = 0.0
@@ -143,8 +138,7 @@ def friction_loss(last, x, limit, mass, update):
         mass: D, of the row while it holds.
         update: `FRESH`, `NEXT`, `SAME`.
 
-    Returns:
-        (force, minus its derivative, square of the difference between p and the multiplier of x).
+    The third number returned is the square of the difference between p and the multiplier of x.
     """
     edge = limit / mass
     size = max(abs(x), edge)
@@ -166,11 +160,9 @@ def add_cone(w, first, contact):
     """Add a contact with an elliptic cone, rows `first` to `first + dim`.
 
     In coordinates scaled by friction, U = (mu x_0, friction_k x_k), N is the first of them and T
-    the
-    size of the others: above the cone (N >= mu T) there is no force; below its polar (mu N + T <=
-    0)
-    all rows are springs; between, one spring D_m acts along the distance d = N - mu T from the
-    cone,
+    the size of the others: above the cone (N >= mu T) there is no force; below its polar (mu N + T
+    <= 0) all rows are springs; between, one spring D_m acts along the distance d = N - mu T from
+    the cone,
 
         f = -D_m d grad d,    -f' = D_m (grad d grad d^T - d mu T''),
         T'' = (diag(friction_k^2) - grad T grad T^T) / T.

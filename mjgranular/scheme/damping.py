@@ -31,14 +31,7 @@ that increases the error of a box sliding to a stop by half."""
 def damp(table, w, eps, steps):
     """Iterate from `w.velocity`; end at a velocity where damping balances the momenta.
 
-    Args:
-        table: table of addresses.
-        w: the workspace.
-        eps: softness [m/s].
-        steps: number of iterations, each with one evaluation.
-
-    Returns:
-        The residual with the law's own forces, one iteration before the last.
+    Return the residual with the law's own forces, one of the `steps` iterations before the last.
     """
     error = 0.0
     for step in range(steps):
@@ -72,9 +65,7 @@ def beyond_the_last(w):
 def prolonged(product, square):
     """Return the extrapolation factor, from 0 to `FURTHEST`, that minimizes the next gap.
 
-    Args:
-        product: inner product of the gap between the velocity evaluated and the one found, and the
-            decrease of that gap since the iteration before; both as momenta.
-        square: square of that decrease, as a momentum.
+    The gap is that between the velocity evaluated and the one found. Given, both as momenta, are
+    its inner product with its decrease since the iteration before, and the square of that decrease.
     """
     return min(max(product / square, 0.0), FURTHEST) if square > 0.0 else 0.0

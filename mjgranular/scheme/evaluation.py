@@ -36,12 +36,8 @@ FIND, RESPOND, DAMP, FOLLOW = (np.int64(n) for n in range(4))
 def forces_program(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
     """Make the kernel `forces(address, task, eps, update, loose)`: a law's loops over all tiles.
 
-    Args:
-        kernel: kernel of the law.
-        scene_dtype: record of law and surface.
-
-    The arguments of `forces` are the address of the table, one of the tasks above, and those of
-    `evaluate`. It returns the greatest mismatch, for `FOLLOW` the greatest turn (`law.kernel`).
+    The arguments are the address of the table, one of the tasks above, and those of `evaluate`. It
+    returns the greatest mismatch, for `FOLLOW` the greatest turn (`law.kernel`).
     """
     of_tiles = tile_kernels(kernel, scene_dtype)
     sample, move, add, follow = of_tiles.sample, of_tiles.move, of_tiles.add, of_tiles.follow
@@ -112,15 +108,8 @@ def evaluate(table, w, task, eps, update, loose):
 def follow_all(table, w, eps):
     """Set the residual at `w.velocity` with forces extrapolated by the Jacobian.
 
-    The forces that `evaluate` computed at the velocity before are replaced by these.
-
-    Args:
-        table: table of addresses.
-        w: the workspace.
-        eps: softness [m/s].
-
-    Returns:
-        (size of the residual, greatest turn: `law.kernel`).
+    These replace the forces that `evaluate` computed at the velocity before. Return the size of the
+    residual, and the greatest turn (`law.kernel`).
     """
     find_motions(w, w.velocity)
     for b in range(w.nbody):

@@ -94,12 +94,7 @@ def _no_kink(tile, lane, by_v, by_force):
 
 @cache
 def tile_kernels(kernel: LawKernel, scene_dtype: np.dtype) -> TileKernels:
-    """Make the implicit scheme's loops over a law's tiles.
-
-    Args:
-        kernel: kernel of the law.
-        scene_dtype: record of law and surface.
-    """
+    """Make the implicit scheme's loops over a law's tiles."""
     size = tile_size(kernel)
     adds_mass = kernel.added is not None
     note_momentum = momentum_kernel(kernel) if adds_mass else _no_momentum
@@ -198,10 +193,7 @@ def no_response(sample, law, g, v, p, eps):
 def by_complexity(kernel: LawKernel, in_lanes: Any, *, soft: bool) -> Any:
     """Make a kernel `respond(tile, law, g, eps)` that picks the fastest variant valid in all lanes.
 
-    Args:
-        kernel: kernel of the law.
-        in_lanes: makes such a kernel from a law's `respond`.
-        soft: whether rest is softened.
+    `in_lanes` makes such a kernel from a law's `respond`; `soft` says whether rest is softened.
     """
     respond_all = in_lanes(kernel.respond)
     if kernel.complexity is None:

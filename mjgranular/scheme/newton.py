@@ -99,19 +99,12 @@ def newton(table, w, search):
 
 @compiled
 def misfit(turn, mismatch):
-    """Estimate the error of linearizing a law over a step.
+    """Estimate the square of the error of linearizing a law over a step, relative to the limit.
 
-    With delta = |c| / s and beta = |v / s - p| the estimate is beta^2 + delta (delta + beta). A
-    stress turns with the multiplier, which has to make up for its mismatch; and speed and
-    multiplier change together, in a product that is known only to first order.
-
-    Args:
-        turn: delta^2, square of the velocity change relative to the speed s over which the law
-            turns.
-        mismatch: beta^2, square of the difference between the multiplier and the velocity's own.
-
-    Returns:
-        Square of the error of the force, relative to the limit.
+    With delta = |c| / s and beta = |v / s - p| the estimate is beta^2 + delta (delta + beta);
+    `turn` is delta^2, with the speed s over which the law turns, and `mismatch` beta^2. A stress
+    turns with the multiplier, which has to make up for its mismatch; and speed and multiplier
+    change together, in a product that is known only to first order.
     """
     delta, beta = math.sqrt(turn), math.sqrt(mismatch)
     return (mismatch + delta * (delta + beta)) ** 2

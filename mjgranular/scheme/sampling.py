@@ -50,7 +50,9 @@ def sampling_kernel(kernel: LawKernel, scene_dtype: np.dtype, finish: Any, *, co
     """Make a kernel `sample_all(table, workspace, tiles, step, lead)`.
 
     It visits all elements, stores their depths in their contacts, fills tiles with those in the
-    sand, body by body, and returns the number of tiles.
+    sand, body by body, and returns the number of tiles. Its arguments are the simulation's table,
+    whatever workspace `finish` expects, the address of the first tile, the distance between tiles
+    in bytes (0 to reuse one tile), and the scheme's lead [s].
 
     Args:
         kernel: kernel of the law.
@@ -60,10 +62,6 @@ def sampling_kernel(kernel: LawKernel, scene_dtype: np.dtype, finish: Any, *, co
             is the first of its body. Forces that it leaves in the tile are written to the contacts.
         compact: merge the immersed elements of several packed tiles. It pays if forces are
             evaluated several times.
-
-    The arguments of `sample_all` are the simulation's table, whatever workspace `finish` expects,
-    the address of the first tile, the distance between tiles in bytes (0 to reuse one tile), and
-    the scheme's lead [s].
     """
     lanes, size = kernel.lanes, tile_size(kernel)
     packed_size = size_of(kernel.element) * lanes

@@ -63,11 +63,7 @@ class SchemeChoice(ABC):
 
     @abstractmethod
     def check(self, model: mujoco.MjModel) -> None:
-        """Check that the scheme can step a model.
-
-        Raises:
-            InputError: it cannot; says why, and what to set instead.
-        """
+        """Check that the scheme can step a model; the error says what to set instead."""
 
 
 class Scheme(SchemeChoice):
@@ -172,11 +168,7 @@ def get_scheme(scheme: str | SchemeChoice | type[SchemeChoice]) -> SchemeChoice:
 
 
 def refuse_runge_kutta(model: mujoco.MjModel) -> None:
-    """Check that the integrator supports forces computed outside the step; RK4 does not.
-
-    Raises:
-        InputError: the model's integrator is RK4.
-    """
+    """Check that the integrator supports forces computed outside the step; RK4 does not."""
     if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
         raise InputError(
             "the integrator RK4 cannot be stepped with a force from outside: mj_step1 and "

@@ -50,15 +50,7 @@ _STEPS_DAMPED = np.int64(8)
 
 @compiled
 def find_velocity(table, w):
-    """Solve for the velocity at the end of the step, `w.velocity`.
-
-    Args:
-        table: table of addresses.
-        w: the workspace, with the velocity at the start of the step.
-
-    Returns:
-        (evaluations, residual relative to `w.scale`).
-    """
+    """Solve for `w.velocity` at the end of the step; return evaluations and relative residual."""
     velocity = w.velocity
     fine = softness(w, velocity)
     coarse = speed_without_sand(w)

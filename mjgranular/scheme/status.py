@@ -43,14 +43,7 @@ _SOLVERS = len(mujoco.mjtSolver.__members__)
 
 @partial(compiled, inline=True)
 def check_options(table):
-    """Check that the scheme can step with the model's present options.
-
-    Args:
-        table: table of the simulation (`kernel.memory`).
-
-    Returns:
-        `FINE`, or one of `REFUSED`.
-    """
+    """Return `FINE` if the scheme can step with the model's options, else one of `REFUSED`."""
     options = options_at(table)
     step = options.timestep
     if not 0.0 < step < math.inf:
@@ -77,13 +70,7 @@ def bits_of(integrators: Iterable[str]) -> int:
 
 
 def refusal(status: int, *, longest_step: float, integrators: str) -> str:
-    """Say what is wrong with the options of a model, and what would have been right.
-
-    Args:
-        status: one of `REFUSED`.
-        longest_step: longest time step that the scheme was chosen for [s].
-        integrators: integrators that the scheme can step with, in words.
-    """
+    """Say for one of `REFUSED` what is wrong with a model's options, and what would be right."""
     if status == BAD_TIMESTEP:
         return "the time step of the model (opt.timestep) must be a positive number"
     if status == LONG_TIMESTEP:

@@ -227,10 +227,6 @@ def read_options(table, w):
 
     MuJoCo's primal constraint solvers lower the cost at each of their steps, and the cost bounds
     the distance to the solution: they end no farther from it than they start.
-
-    Args:
-        table: table of the simulation (`kernel.memory`).
-        w: the workspace.
     """
     options = options_at(table)
     w.sparse = is_sparse(w.model)
@@ -265,12 +261,7 @@ def has_damping(w):
 
 @compiled
 def open_constraints(address, w):
-    """Read the addresses of MuJoCo's constraints and its effective metric in this step.
-
-    Args:
-        address: address of the workspace's record.
-        w: the workspace.
-    """
+    """Read the addresses of MuJoCo's constraints and its effective metric in this step."""
     words, offsets = longs(address, _WORDS), w.offsets
     w.ncon = ints(w.data + offsets[1], 1)[0]
     w.nefc = ints(w.data + offsets[0], 1)[0]

@@ -30,12 +30,7 @@ _OF_A_MESH, _OF_OTHERS = 2.0, 4 / 3  # maximum number of facets, over the square
 
 
 def resolutions(model: mujoco.MjModel, geoms: Sequence[int]) -> list[int]:
-    """Return a resolution for each geom, so that there are about `FACETS` facets or fewer.
-
-    Args:
-        model: the model.
-        geoms: ids of all geoms that meet the sand.
-    """
+    """Return a resolution for each geom, so that there are about `FACETS` facets or fewer."""
     meshes = model.geom_type[list(geoms)] == int(mujoco.mjtGeom.mjGEOM_MESH)
     weights = np.where(meshes, _OF_A_MESH, _OF_OTHERS)
     if weights.sum() * RESOLUTION**2 <= FACETS:

@@ -160,23 +160,13 @@ def facets_from_model(
 def hidden_skin(
     model: mujoco.MjModel, data: mujoco.MjData, geom: int, skin: Cells, geoms: Sequence[int]
 ) -> np.ndarray:
-    """Find the cells of the surface of a geom that are inside others.
+    """Return a mask of the cells of the surface of a geom that are inside others.
 
     A geom hides what is inside it on its own body, and on bodies welded to it. On a body connected
-    to its own by hinge or ball joints, parent or child, it hides what is inside it at `qpos0` and
-    no farther from the joint than half its width: that stays there, roughly, as the joint turns. A
-    slide joint hides nothing. Where two surfaces coincide and face the same way, that of the lower
-    id is kept; if they face each other, none. A mesh hides nothing.
-
-    Args:
-        model: the model.
-        data: at `qpos0`.
-        geom: id of the geom.
-        skin: its cells, in its own frame.
-        geoms: ids of all geoms that meet the sand.
-
-    Returns:
-        A mask of the cells.
+    to its own by hinge or ball joints, parent or child, it hides what is inside it at `qpos0`, the
+    pose of `data`, and no farther from the joint than half its width: that stays there, roughly, as
+    the joint turns. A slide joint hides nothing. Where two surfaces coincide and face the same way,
+    that of the lower id is kept; if they face each other, none. A mesh hides nothing.
     """
     hidden = np.zeros(len(skin.points), bool)
     turn = data.geom_xmat[geom].reshape(3, 3)

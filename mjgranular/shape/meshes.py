@@ -10,18 +10,10 @@ from mjgranular.shape.sizes import check_size, geom_name
 
 
 def mesh_corners(model: mujoco.MjModel, geom: int) -> np.ndarray:
-    """Return corners of the triangles of a geom's mesh, counter-clockwise seen from outside.
+    """Return corners of the triangles of a geom's mesh [m], in the geom's frame, shape (n, 3, 3).
 
-    Returns:
-        Corners [m], in the frame of the geom, shape (n, 3, 3).
-
-    Raises:
-        InputError: the mesh has no faces, or none with an area, or its size is beyond numerical
-            limits.
-
-    Warns:
-        GranularWarning: a mesh is not watertight, with the number of its open edges; or it is
-            inside out, and is then flipped.
+    They are counter-clockwise seen from outside: a mesh that is inside out is flipped, with a
+    warning. There is one too for a mesh that is not watertight, with the number of its open edges.
     """
     mesh = int(model.geom_dataid[geom])
     if mesh < 0 or model.mesh_facenum[mesh] == 0:

@@ -115,13 +115,6 @@ def flatness(facets: Facets, width: float) -> np.ndarray:
 
     That is the area of what is nearly in the facet's plane, relative to the area of the whole mesh
     projected in its direction: 1 for a face of a box, 0.03 for a ball.
-
-    Args:
-        facets: facets of the mesh.
-        width: width of the mesh [m].
-
-    Returns:
-        Numbers from 0 to 1, shape (n,).
     """
     # A sample is sufficient for a ratio of areas.
     some = slice(None, None, -(-len(facets.points) // _ENOUGH) or 1)

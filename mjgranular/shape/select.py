@@ -70,12 +70,7 @@ def select_geoms(
 
 
 def find_all(model: mujoco.MjModel, kind: str, names: Choice) -> list[int]:
-    """Return the ids of bodies or geoms, as `kind` says.
-
-    Raises:
-        UnknownNameError: a name that the model does not have; lists the existing ones.
-        InputError: an id that it does not have.
-    """
+    """Return the ids of bodies or geoms, as `kind` says, from names or ids."""
     _check_names(model)
     return [_find(model, kind, name) for name in names_in(names)]
 

@@ -50,16 +50,7 @@ def half_extents(model: mujoco.MjModel, geom: int) -> np.ndarray:
 
 
 def check_size(model: mujoco.MjModel, geom: int, *, flat: bool = False) -> None:
-    """Check that a geom has a volume within numerical limits.
-
-    Args:
-        model: the model.
-        geom: its id.
-        flat: whether its thickness may be zero, as for a mesh.
-
-    Raises:
-        InputError: it does not; names the size.
-    """
+    """Check that a geom has a volume within numerical limits, or is `flat`, as a mesh may be."""
     half = half_extents(model, geom)
     if flat:
         half = half[half.argmax() :][:1]
@@ -69,11 +60,7 @@ def check_size(model: mujoco.MjModel, geom: int, *, flat: bool = False) -> None:
 
 
 def check_extents(what: str, half: Sequence[float] | np.ndarray) -> None:
-    """Check that half extents [m] are within numerical limits.
-
-    Raises:
-        InputError: they are not; names `what`, and the extent.
-    """
+    """Check that half extents [m] of `what` are within numerical limits."""
     for value in half:
         if not SMALLEST <= value <= LARGEST:
             raise InputError(
@@ -83,11 +70,7 @@ def check_extents(what: str, half: Sequence[float] | np.ndarray) -> None:
 
 
 def check_resolution(resolution: Any, least: int, most: int) -> int:
-    """Return a resolution as an integer.
-
-    Raises:
-        InputError: it is not an integer from `least` to `most`.
-    """
+    """Return a resolution as an integer; check that it is one from `least` to `most`."""
     try:
         if isinstance(resolution, bool):
             raise TypeError
@@ -102,11 +85,7 @@ def check_resolution(resolution: Any, least: int, most: int) -> int:
 
 
 def check_count(count: int) -> None:
-    """Check that there are not too many elements.
-
-    Raises:
-        InputError: there are.
-    """
+    """Check that there are not too many elements."""
     if count > MOST_ELEMENTS:
         raise InputError(
             f"the geoms would have {count:,} elements, more than {MOST_ELEMENTS:,}: take a lower "

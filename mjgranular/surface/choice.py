@@ -21,11 +21,7 @@ surfaces.add("height_field", HeightField)
 
 
 def surface_of(surface: Any) -> Surface:
-    """Return a surface, one parsed from words such as "plane height=0.1", or z = 0 for None.
-
-    Raises:
-        InputError: it is something else; says what a number or a name may have meant.
-    """
+    """Return a surface, one parsed from words such as "plane height=0.1", or z = 0 for None."""
     if surface is None:
         return Plane()
     if isinstance(surface, Surface):
@@ -41,12 +37,7 @@ def surface_of(surface: Any) -> Surface:
 
 
 def surface_from_words(text: str) -> Surface:
-    """Parse a surface in MJCF: `plane height= slope= uphill=`, `bed geom=`, `height_field geom=`.
-
-    Raises:
-        UnknownNameError: no such surface; lists the existing ones.
-        InputError: an option that is unknown, of a wrong type, or missing.
-    """
+    """Parse a surface: `plane height= slope= uphill=`, `bed geom=`, `height_field geom=`."""
     cls, given = read_part(text, surfaces, "surface")
     options: Any = fields(cls)  # pyright: ignore[reportArgumentType]
     missing = [f.name for f in options if f.default is MISSING and f.name not in given]

@@ -23,14 +23,11 @@ _FLOOR, _SAND = 4, 5  # geom groups of the model that rays are cast in
 
 
 def find_floors(model: mujoco.MjModel, geoms: Sequence[int], surface: Surface) -> list[int]:
-    """Find geoms of the world that bodies stand on at or above the sand's surface.
+    """Return the ids of geoms of the world that bodies stand on at or above the sand's surface.
 
     From each geom that meets the sand, at `qpos0`, rays are cast down along the surface's normal:
     to the sand, and to what is fixed to the world and collides with that geom. Ground that is hit
     before the sand carries the geom.
-
-    Returns:
-        Their ids, in order.
     """
     sand = surface.geoms(model)
     plane = surface if isinstance(surface, Plane) else None

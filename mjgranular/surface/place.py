@@ -37,10 +37,7 @@ def find_geom(model: mujoco.MjModel, name: str, kind: mujoco.mjtGeom, word: str)
 def replace_geoms(model: mujoco.MjModel, geoms: Choice) -> list[int]:
     """Disable the contacts of geoms that the sand replaces; return their ids.
 
-    Raises:
-        UnknownNameError: no such geom; lists the existing ones.
-        InputError: a geom on a body that moves, or in an explicit contact pair. Then none of them
-            is changed.
+    If one is on a body that moves, or in an explicit contact pair, none of them is changed.
     """
     found = find_all(model, "geom", geoms)
     _disable_contacts(model, found, "ground that sand replaces")
