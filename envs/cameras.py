@@ -19,18 +19,8 @@ RENDER_MODES = ["human", "rgb_array"]
 class Cameras:
     """A camera that follows the robot, or one of the model's cameras.
 
-    No resources are allocated before the first frame.
-
-    Args:
-        task: the task to render.
-        mode: None, "human" or "rgb_array".
-        width: width of images [px].
-        height: height of images [px].
-        camera_name: a camera of the model; None for the task's default.
-
-    Raises:
-        InputError: another mode, or an image size that is not positive.
-        UnknownNameError: the model has no such camera; lists those it has.
+    Images have a width and a height [px]; the mode is None, "human" or "rgb_array". No resources
+    are allocated before the first frame.
     """
 
     def __init__(
@@ -52,11 +42,7 @@ class Cameras:
         self._surfaces = [choice.surface for choice in task.choices]
 
     def look(self, model: mujoco.MjModel, data: mujoco.MjData, sand: int) -> np.ndarray | None:
-        """Render an image, shape (height, width, 3), or to the window.
-
-        Raises:
-            RenderError: rendering fails on this machine; says what to install.
-        """
+        """Render an image, shape (height, width, 3), or to the window."""
         if self.mode is None:
             return None
         self._show_ground(model, sand)

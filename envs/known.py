@@ -14,16 +14,10 @@ from mjgranular.errors import InputError, UnknownNameError
 
 
 def find_spec(env_id: Any) -> EnvSpec:
-    """Return Gymnasium's specification of an environment.
+    """Return Gymnasium's specification of an environment, from its id.
 
-    Args:
-        env_id: its id; `my_module:My-v0` imports the module that registers it, also from the
-            current folder (`mjgranular._util.user_modules`).
-
-    Raises:
-        UnknownNameError: no environment of that id, or no such module; lists ids of mjgranular and
-            similar ones.
-        InputError: it is not a string, or the module cannot be imported.
+    `my_module:My-v0` imports the module that registers it, also from the current folder
+    (`mjgranular._util.user_modules`). Errors list ids of mjgranular and similar ones.
     """
     if not isinstance(env_id, str):
         raise InputError(f"an environment is named by a text such as 'Ant-v5', not {env_id!r}")

@@ -125,12 +125,7 @@ class SandRanges:
 
 
 def ranges_of(ranges: Any, curriculum: Any) -> SandRanges | None:
-    """Return the ranges of an environment, and check its curriculum.
-
-    Raises:
-        UnknownNameError: a name in the table is not that of a field; lists the fields.
-        InputError: `ranges` is something else, or a curriculum has none.
-    """
+    """Return the ranges of an environment, and check its curriculum."""
     if isinstance(ranges, Mapping):
         ranges = SandRanges.of(ranges)
     if ranges is not None and not isinstance(ranges, SandRanges):
@@ -214,15 +209,10 @@ def lay(
     gravity: np.ndarray,
     strength: float,
 ) -> None:
-    """Apply the sampled sand to a simulation.
+    """Apply the sampled sand to a simulation: write to its plugin state and its gravity.
 
-    Args:
-        sample: the sampled sand.
-        model: the model.
-        sands: names of the instances of sand in it.
-        plugin_state: plugin state of the simulation; written to.
-        gravity: gravity of the simulation [m/s^2], shape (3,); written to.
-        strength: magnitude of gravity [m/s^2].
+    `sands` are the names of the instances of sand in the model; `strength` is the magnitude of
+    gravity [m/s^2].
     """
     for number, name in enumerate(sands):
         tune(
@@ -239,11 +229,7 @@ def lay(
 def next_ranges(
     ranges: SandRanges, curriculum: Callable[[int], SandRanges] | None, episode: int
 ) -> SandRanges:
-    """Return the ranges for an episode: from the curriculum, or unchanged.
-
-    Raises:
-        InputError: the curriculum returns something else, or ranges beyond these.
-    """
+    """Return the ranges for an episode: from the curriculum, or unchanged."""
     if curriculum is None:
         return ranges
     given = curriculum(episode)

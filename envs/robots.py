@@ -112,8 +112,7 @@ def make_robot(environment: str | type, sand: dict[str, Any], **options: Any) ->
 def sandy(environment: str | type) -> type[OnSand]:
     """Return the class of an environment with sand in place of its floor.
 
-    Args:
-        environment: its class, or `module:Class`, which worker processes can import.
+    The environment is a class, or `module:Class`, which worker processes can import.
     """
     base: Any = load_env_creator(environment) if isinstance(environment, str) else environment
     return _sandy(base, environment)

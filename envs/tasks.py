@@ -14,12 +14,7 @@ tasks: Registry[type[Task]] = Registry("environment")
 
 
 def get_task(task: str | Task, options: dict[str, Any]) -> Task:
-    """Return a task from its name and its options.
-
-    Raises:
-        UnknownNameError: no such task; lists the tasks.
-        InputError: the task has no such option; lists its options.
-    """
+    """Return a task from its name and its options."""
     if isinstance(task, Task):
         if options:
             raise InputError(f"a task has its options already: {', '.join(options)}")

@@ -111,13 +111,8 @@ def latest_path(folder: Path, name: str) -> Path:
 def read_consistent(folder: Path, name: str, read: Callable[[], T]) -> T:
     """Read several files of a folder so that all belong to the same result.
 
-    Args:
-        folder: folder of the files.
-        name: name of a file that every result rewrites.
-        read: reads them, each with `latest_path`; called again if the result has changed meanwhile.
-
-    Raises:
-        OutputError: `read` raised it, or the files keep changing.
+    Every result rewrites the file `name`. `read` takes each with `latest_path`; it is called again
+    if the result has changed meanwhile.
     """
 
     def state() -> tuple[object, ...]:
@@ -199,12 +194,7 @@ def find_corruption(folder: Path, names: Sequence[str] = ()) -> str | None:
 
 
 def remove_leftovers(folder: Path, names: Sequence[str] | None = None) -> None:
-    """Remove partly written files of killed processes; the folder must be locked.
-
-    Args:
-        folder: the folder.
-        names: names of the files and folders whose leftovers are removed; None for all.
-    """
+    """Remove partly written files of killed processes (None: all); the folder must be locked."""
     mine = {_READY[1:], *(names or ())}
     for path in list(folder.glob(".*")):
         name = path.name.lstrip(".")  # two for a part of a part

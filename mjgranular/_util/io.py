@@ -102,13 +102,7 @@ def read_json(file: Path, *, infinite: bool = False) -> dict[str, Any]:
 def read_arrays(
     file: Path, names: Sequence[str], *, most: int | None = _MOST_ARRAYS
 ) -> dict[str, np.ndarray]:
-    """Read arrays of finite numbers from an `.npz` file.
-
-    Args:
-        file: the file.
-        names: names of the arrays.
-        most: largest accepted size of the arrays [bytes]; None for the size of the file.
-    """
+    """Read arrays of finite numbers from a `.npz` file of at most `most` bytes (None: its size)."""
     if not file.is_file():
         raise OutputError(f"{file} cannot be read: there is no such file")
     try:

@@ -21,11 +21,7 @@ TRAINING = "train"
 
 
 class ResultFolder:
-    """A folder for the files of one result.
-
-    Attributes:
-        path: the folder.
-    """
+    """A folder for the files of one result."""
 
     def __init__(self, path: Path, names: Sequence[str]) -> None:
         self.path = path
@@ -38,15 +34,9 @@ class ResultFolder:
     ) -> Iterator[ResultFolder]:
         """Check that the result can be written, and lock the folder; clean up if there is none.
 
-        Args:
-            overwrite: whether files of these names may be replaced.
-            goes_on: called once the folder is locked: whether its content is a part of this very
-                result, and may be replaced too.
-
-        Raises:
-            OutputError: another process uses the folder, it contains one of the files and
-                `overwrite` is false, it contains a training run, is not a folder, or cannot be
-                written to.
+        Files of these names may be replaced with `overwrite`, or if `goes_on`, called once the
+        folder is locked, says that its content is a part of this very result; a training run never
+        is.
         """
         made = [path for path in (self.path, *self.path.parents) if not path.exists()]
         # A single file, such as a film, may go to a folder that another process uses.
@@ -87,11 +77,7 @@ class ResultFolder:
 
     @contextmanager
     def published(self, *, keep: Sequence[str] = ()) -> Iterator[None]:
-        """Publish all files of the block at once, in place of the whole previous result.
-
-        Args:
-            keep: names of files to keep although they are not written again.
-        """
+        """Publish all files of the block at once, in place of all of the last result but `keep`."""
         stale = [name for name in (*self._names, *self._previous_names()) if name not in keep]
         with files.replace_directory(self.path, instead_of=stale) as waiting:
             self._waiting = waiting

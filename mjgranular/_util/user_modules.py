@@ -18,15 +18,7 @@ def import_own(name: str, what: str) -> ModuleType:
 
     The current folder is searched last, so that nothing in it shadows an installed module. It stays
     in `sys.path`: the module may import its neighbors later, and spawned processes find the module
-    there.
-
-    Args:
-        name: dotted name of the module, as in an import.
-        what: what it is imported for, for messages: "the environment my_quad:MyQuad-v0".
-
-    Raises:
-        UnknownNameError: it was not found; says what was searched.
-        InputError: it is not a module name, or the module cannot be imported.
+    there. `what` it is imported for is named in messages: "the environment my_quad:MyQuad-v0".
     """
     if not all(part.isidentifier() for part in name.split(".")):
         raise InputError(

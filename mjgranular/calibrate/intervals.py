@@ -59,12 +59,8 @@ def spread_of(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return half widths of the 95 % intervals of the unknowns, and correlations of the estimates.
 
-    Args:
-        jacobian: shape (rows, unknowns), at the least-squares solution.
-        residual: shape (rows,).
-        blocks: rows of each series.
-        runs: rows of each run.
-        scale: size of each unknown, shape (unknowns,).
+    Given are the derivatives, shape (rows, unknowns), and residuals at the least-squares solution,
+    the rows of each series (`blocks`) and of each run, and the size of each unknown.
     """
     special = require("scipy.special", extra="fit", purpose="Fitting")
     J = jacobian * scale

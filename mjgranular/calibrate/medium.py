@@ -24,12 +24,9 @@ def known_medium(
 ) -> Medium:
     """Return the medium of a file of runs: constants by their names, optionally based on another.
 
-    Args:
-        entry: a mapping with `base` (a medium's name or file), `name`, `title`, `density`, `grain`
-            and constants of the law; or the name of a medium.
-        law: the law, or its name; None for that of the base.
-        path: path of the file.
-        source: source of its constants; None for the file.
+    The entry is a mapping with `base` (a medium's name or file), `name`, `title`, `density`,
+    `grain` and constants of the law; or the name of a medium. The law is by default that of the
+    base; the source of the constants is by default the file.
     """
     where = f"{place(path)}: medium"
     if isinstance(entry, str):

@@ -17,9 +17,9 @@ class Curve:
     """A measured quantity and the prediction of the fitted law.
 
     Attributes:
-        axis: independent variable: time [s], depth [m] or speed [m/s].
+        axis: independent variable: time since the touch [s], depth [m] or speed [m/s].
         quantity: depth [m], pitch [degrees] or force [N].
-        places: values on the axis; times are since the touch, shape (n,).
+        places: values on the axis, shape (n,).
         measured: shape (n,).
         predicted: shape (n,).
         held_out: whether the run was held out.

@@ -123,10 +123,7 @@ class Simulator:
     ) -> np.ndarray:
         """Advance `data`, and return what `look` returns after each step.
 
-        Args:
-            steps: number of time steps.
-            look: returns a value or an array, which is copied.
-            until_rest: whether to stop at rest, and repeat the last row from there on.
+        At rest, if that is asked for, it stops and repeats the last row from there on.
         """
         first = np.asarray(look())
         rows = np.empty((steps, *first.shape))

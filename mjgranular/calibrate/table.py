@@ -41,15 +41,10 @@ def read_table(
     optional: Iterable[str] = (),
     columns: Mapping[str, str] | None = None,
 ) -> dict[str, np.ndarray]:
-    """Read columns of a CSV file, in SI units and degrees.
+    """Read needed and optional columns of a CSV file, in SI units and degrees.
 
     A heading is a name with its unit, `depth [mm]`, `depth (mm)` or `depth_mm`; without one it is
-    SI. Other columns are ignored, as are lines that start with `#`.
-
-    Raises:
-        InputError: the file cannot be read, a column is missing or there twice, or a cell is not a
-            number.
-        UnknownNameError: `columns` has a name that is neither needed nor optional.
+    SI. Other columns are ignored, as are lines that start with `#`. `columns` has other headings.
     """
     known, columns = (*needed, *optional), columns or {}
     for column in columns:

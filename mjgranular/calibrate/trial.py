@@ -33,13 +33,7 @@ _SERIES = {
 
 @dataclass(frozen=True)
 class Series:
-    """Measurements of one quantity.
-
-    Attributes:
-        name: name of the quantity, an attribute of `Motion`.
-        values: shape (n,).
-        scale: divisor of errors: mostly the largest absolute value.
-    """
+    """Measurements of a quantity of `Motion`; errors are in parts of `scale`, the largest value."""
 
     name: str
     values: np.ndarray

@@ -117,14 +117,8 @@ def progress_bar(
 ) -> Iterator[Callable[..., None]]:
     """Show a progress bar on standard error, if that is a terminal, until the work is done.
 
-    Args:
-        what: description of the work.
-        total: amount of work.
-        remaining: whether to show the remaining time, too.
-
-    Yields:
-        `show(done, what=None)`, to be called with the amount of work done and, if it changes, the
-        description.
+    Yield `show(done, what=None)`, to be called with the amount of work done and, if it changes, the
+    description. `remaining` adds the remaining time.
     """
     columns = (
         TextColumn("{task.description}", markup=False),

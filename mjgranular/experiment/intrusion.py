@@ -178,12 +178,7 @@ class IntrusionResult:
 
 
 def run_intrusion(intrusion: Intrusion) -> IntrusionResult:
-    """Move the intruder along its path and measure forces.
-
-    Raises:
-        InputError: the model cannot be read.
-        UnknownNameError: a name that does not exist.
-    """
+    """Move the intruder along its path and measure forces."""
     check_kind(intrusion, Intrusion, "run_intrusion")
     model = _model(intrusion)
     sand = Sand(

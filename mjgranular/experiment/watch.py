@@ -44,11 +44,7 @@ class StopWatch:
         self._sinking = False  # it has moved down since it touched the sand
 
     def follow(self, depth: float, velocity: float) -> bool:
-        """Take the depth [m] and the velocity, down [m/s], of the next step.
-
-        Returns:
-            Whether the point has stopped within the last step.
-        """
+        """Take depth [m] and downward velocity [m/s] of the next step; return True at the stop."""
         before, self._before = self._before, (depth, velocity)
         step, self._steps = self._steps, self._steps + 1
         self._velocities.append(velocity)
@@ -71,15 +67,12 @@ class StopWatch:
         return True
 
     def _crossing(self) -> float | None:
-        """Find the time at which the velocity crosses zero, or reaches it, at its last value.
+        """Return when the velocity crosses or reaches zero, in steps after the last but one.
 
-        Where a link slides on the static force (E keeps its height while T still sinks), the
-        explicit sign of that force makes velocities tremble from step to step, and a velocity that
-        slowly approaches zero touches it early. Then a straight line through the last steps
-        decides.
-
-        Returns:
-            The crossing, in steps after the last but one; None if the velocity only trembles.
+        It is None if the velocity only trembles. Where a link slides on the static force (E keeps
+        its height while T still sinks), the explicit sign of that force makes velocities tremble
+        from step to step, and a velocity that slowly approaches zero touches it early. Then a
+        straight line through the last steps decides.
         """
         last, now = self._velocities[-2], self._velocities[-1]
         if len(self._velocities) >= 8:
@@ -91,11 +84,7 @@ class StopWatch:
 
 
 class RestWatch:
-    """Time since which points are at rest.
-
-    Attributes:
-        since: time from which they have stayed where they are [s].
-    """
+    """Time since which points are at rest, `since` [s]."""
 
     def __init__(self) -> None:
         self.since = 0.0

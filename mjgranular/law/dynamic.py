@@ -41,9 +41,8 @@ _WITHIN = 0.25  # largest error for which a law is an estimate; chosen (docs/val
 def _confirmed(name: str, inertial_number: float | None = None) -> tuple[Limit, ...]:
     """Return limits of a law: the speed and the width in grains for which it was confirmed.
 
-    Args:
-        name: name of the law.
-        inertial_number: greatest one in the confirming runs; None for that of the slow laws.
+    Without an inertial number, the greatest in the confirming runs, that limit is that of slow
+    laws.
     """
     froude = 0.0
     for finding in sorted(findings_of(name), key=lambda finding: finding.froude):

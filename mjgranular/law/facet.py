@@ -232,11 +232,8 @@ def _none_moved(law, facet, up, mean):
 def facet_added(facet, v, h):
     """Return the sand that moves with a facet (`AddedMass`), eq. (A1) of docs/laws/rft.md.
 
-    Args:
-        facet: its sample.
-        v: velocity of its center of pressure at the start of the step [m/s], which brought the
-            facet here in the last step.
-        h: time step [s].
+    The velocity of its center of pressure at the start of the step of h [s], which is v [m/s],
+    brought the facet here in the last step.
     """
     # The immersed part of the facet's height (twice its reach) plus the entry depth.
     height = 2.0 * (abs(facet.rise_1) + abs(facet.rise_2)) + facet.entry
@@ -256,17 +253,11 @@ def facet_cull(facet, level):
 
 @partial(compiled, inline=True)
 def lowered_behind(depth, pose, point, g):
-    """Return the depth below the surface that a turning body has lowered behind itself.
+    """Return the depth below the surface that a turning body has lowered behind itself [m].
 
     Agarwal et al. 2021: `r (r w^2 / g)` on the rear half of a wheel; here r is the element's own
     distance from the axis through the body's center of mass, and the rear half is where the body's
-    velocity points away from the element.
-
-    Args:
-        depth: depth below the undisturbed surface [m].
-        pose: pose of the body.
-        point: position of the element [m], world.
-        g: gravity [m/s^2].
+    velocity points away from the element, whose `depth` is below the undisturbed surface.
     """
     angular, linear = pose.motion.angular, pose.motion.linear
     arm = point - pose.com

@@ -68,11 +68,7 @@ def dissipative(factors, rise, lead, eps):
 
 @cache
 def led_slope_kernel(slope: Any) -> Any:
-    """Make the kernel `led` for any facet.
-
-    Args:
-        slope: the law's `slope`, see `RftLaw`.
-    """
+    """Make the kernel `led` for any facet, from the `slope` of the law (`RftLaw`)."""
 
     @partial(compiled, inline=True)
     def led(facet, law, g, u, eps):
@@ -159,11 +155,7 @@ def led_slope_kernel(slope: Any) -> Any:
 
 @cache
 def simple_slope_kernel(slope: Any) -> Any:
-    """Make the kernel `led` for facets of which all or nothing leads, on small rotations too.
-
-    Args:
-        slope: the law's `slope`, see `RftLaw`.
-    """
+    """Make the kernel `led` for facets of which all or nothing leads, on small rotations too."""
 
     @partial(compiled, inline=True)
     def led(facet, law, g, u, eps):
@@ -194,13 +186,8 @@ def edge_of(eps):
 def plate_slope(f, by_rise, by_lead, frame, rise, lead):
     """Return the force S = f_n n + f_u u + f_z z, and |p| S(p / |p|) by p, for a fixed normal.
 
-    Args:
-        f: the factors [N].
-        by_rise: their derivatives by u.z.
-        by_lead: their derivatives by n.u.
-        frame: n, u and z.
-        rise: u.z.
-        lead: n.u.
+    `f` are the factors [N], with derivatives by u.z (`rise`) and n.u (`lead`); `frame` is n, u and
+    z.
     """
     n, u, z = frame.x, frame.y, frame.z
     force = dot(f, frame)
@@ -212,11 +199,7 @@ def plate_slope(f, by_rise, by_lead, frame, rise, lead):
 
 @cache
 def led_by_differences(stress: Any) -> Any:
-    """Make the kernel `led` of a law without a slope, with a derivative from two small rotations.
-
-    Args:
-        stress: the law's `stress`, see `RftLaw`.
-    """
+    """Make the kernel `led` of a law with a `stress` alone; its derivative by two small turns."""
 
     @partial(compiled, inline=True)
     def led_stress(facet, law, g, u, eps):

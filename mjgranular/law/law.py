@@ -148,14 +148,8 @@ def register_law(law: LawClass, *, replace: bool = False) -> LawClass:
 def constants_of(law: type[Law], medium: Medium | str, name: str | None = None) -> dict[str, Any]:
     """Return a medium's constants for a law, by the names of the law's fields.
 
-    Args:
-        law: a dataclass.
-        medium: the medium, or its name.
-        name: law whose constants to use, if another; None for this law's own.
-
-    Raises:
-        UnknownNameError: the medium has no constants for this law.
-        InputError: a constant that the law does not have, or one that it needs is missing.
+    `name` is the law whose constants to use, if another. Errors name constants that are missing or
+    unknown.
     """
     known = fields(law)  # pyright: ignore[reportArgumentType]
     medium = get_medium(medium)

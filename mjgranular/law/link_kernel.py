@@ -41,18 +41,10 @@ class RodSample(NamedTuple):
 
 @compiled
 def lumped_limits(depth, cos_q, length, diameter, law, g):
-    """Return the limits of the paper's static resistance for one rod.
+    """Return the limits of the paper's static resistance for one rod, along normal and surface [N].
 
-    Args:
-        depth: depth of the end T, y_T > 0 [m].
-        cos_q: cosine of the angle between the axis and the normal.
-        length: immersed length l [m].
-        diameter: diameter of the rod [m].
-        law: record of the coefficients, `LINK_DTYPE`.
-        g: magnitude of gravity [m/s^2].
-
-    Returns:
-        (along the normal, along the surface) [N].
+    `depth` is that of the end T, y_T > 0 [m], `cos_q` the cosine of the angle between axis and
+    normal, `length` the immersed length l [m].
     """
     # Eqs. (9), (11): -sign(v) eta_v (y_T/d)^lambda g rho_g V, with V the immersed volume.
     weight = g * law.density * diameter

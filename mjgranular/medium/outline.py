@@ -43,9 +43,8 @@ def read_outline_file(path: Path, what: str, *, largest: int, extra: str) -> Any
 def read_outline(text: str, yaml: Any) -> Any:
     """Read YAML: dicts, lists, strings, and unquoted None, True and False.
 
-    Raises:
-        OutlineError: it is not YAML, or has unsupported content: tags, several documents, a
-            duplicate key, an alias of something else than a string, deep nesting, long strings.
+    Unsupported are tags, several documents, duplicate keys, aliases of something else than a
+    string, deep nesting and long strings.
     """
     try:
         return _Reader(yaml, yaml.parse(text, Loader=yaml.SafeLoader)).document()

@@ -15,11 +15,7 @@ cotangents of 0, 1/3, 2/3 and 1."""
 
 @cache
 def measured_stresses() -> dict[str, np.ndarray]:
-    """Return the stresses by the names of the media [N/cm^3].
-
-    Returns:
-        alpha_z and alpha_x, shape (2, TILTS, ATTACKS), both angles ascending.
-    """
+    """Return alpha_z and alpha_x by the names of the media [N/cm^3], shape (2, TILTS, ATTACKS)."""
     with Path(__file__).with_name("stresses.csv").open(encoding="utf-8") as file:
         head, *rows = csv.reader(file)
     numbers = np.array(rows, float).T[2:].reshape(-1, 2, TILTS, ATTACKS)

@@ -25,12 +25,7 @@ _MARGIN = 1.1  # around the view
 
 @dataclass(frozen=True)
 class View:
-    """A sphere around all visible moving parts, over a whole run.
-
-    Attributes:
-        middle: center [m], shape (3,).
-        radius: [m].
-    """
+    """A sphere around all visible moving parts, over a whole run [m]."""
 
     middle: np.ndarray
     radius: float
@@ -114,11 +109,7 @@ class Ground:
 
 
 def _cut_open(model: mujoco.MjModel) -> tuple[Region, float]:
-    """Return the box of sand behind a link or a chain, which the skin with tracks replaces.
-
-    Returns:
-        The box, and the edge length of its texture of grains [m].
-    """
+    """Return the box of sand that a skin with tracks replaces, and the edge of its texture [m]."""
     bed = model.geom("bed")
     bed.group = NOT_SHOWN
     low, high = bed.pos - bed.size, bed.pos + bed.size

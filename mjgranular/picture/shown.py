@@ -106,9 +106,7 @@ class Shown:
         """Return both ends of arrows of the forces [m], each of shape (m, 3), m at most n.
 
         Forces push facets from outside: their arrows end where the force acts. Others start there.
-
-        Args:
-            scale: length of one newton [m]; None to make the largest force 0.3 of the reach.
+        The length of a newton [m] is by default such that the largest force takes 0.3 of the reach.
         """
         table = self.report.table
         size = np.linalg.norm(table.force, axis=1)

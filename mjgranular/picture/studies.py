@@ -18,13 +18,7 @@ _MOST_TICKS = 8  # of a grid, one per value; chosen
 
 @dataclass(frozen=True)
 class Axis:
-    """A column of the table with its label and unit.
-
-    Attributes:
-        column: its name.
-        label: label with the unit of the figure.
-        scale: that unit in units of the table.
-    """
+    """A column of the table, with its label and the unit of the figure in units of the table."""
 
     column: str
     label: str

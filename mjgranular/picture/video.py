@@ -114,12 +114,7 @@ def frames_of_run(
     prints: Tracks | None = None,
     sand: SandSpec | None = None,
 ) -> Frames:
-    """Return the pictures of a run of a link, slowed down up to the stop, and after it.
-
-    Raises:
-        RenderError: MuJoCo cannot render on this machine; says what to install.
-        UnknownNameError: no such camera.
-    """
+    """Return the pictures of a run of a link, slowed down up to the stop, and after it."""
     film.check(link)
     spec = link.spec()
     shown = None if prints is None or sand is None else as_memory(sand.memory)
@@ -150,13 +145,7 @@ def frames_of_model(
     prints: Tracks | None = None,
     memory: Memory | None = None,
 ) -> Frames:
-    """Return the pictures of a run of any model, in real time or slower to fill the film.
-
-    Raises:
-        InputError: the run is longer than an hour.
-        UnknownNameError: no such camera.
-        RenderError: MuJoCo cannot render on this machine; says what to install.
-    """
+    """Return the pictures of a run of any model, in real time or slower to fill the film."""
     check_camera(model, film.camera)
     begin, end = float(motion.t[0]), float(motion.t[-1])
     if end - begin > _LONGEST:
@@ -170,11 +159,7 @@ def frames_of_model(
 
 
 def frames_of_drop(film: Film, drop: Drop, motion: Motion, prints: Tracks | None) -> Frames:
-    """Return the pictures of a run of a drop.
-
-    Raises:
-        OutputError: the samples are not of the model.
-    """
+    """Return the pictures of a run of a drop."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", GranularWarning)  # the run has shown them
         model, _ = load(drop)

@@ -79,12 +79,7 @@ class Pool(Protocol):
         ...
 
     def result(self, future: Future) -> Answer:
-        """Return the outcome of a task whose future is done.
-
-        Raises:
-            WorkerLostError: its worker died.
-            InputError: no worker can do the work, because of another installed version for example.
-        """
+        """Return the outcome of a task whose future is done; raise if no worker could do it."""
         ...
 
     def close(self) -> None:

@@ -93,13 +93,8 @@ class SandMaterial:
     ) -> SandMaterial | None:
         """Return how the plane of the points p with normal @ p = offset is drawn under a model.
 
-        Return None if the model shows it by its own geom without contacts.
-
-        Args:
-            model: the model.
-            normal: normal of the plane, upward, shape (3,).
-            offset: offset of the plane [m].
-            radius: radius of a ball around what moves [m]: it sets the size of visible grains.
+        The normal is upward. A ball of that radius [m] around what moves sets the size of visible
+        grains. Return None if the model shows the plane by its own geom without contacts.
         """
         names = (model.material(number).name for number in range(model.nmat))
         found = next((k for k, name in enumerate(names) if name.endswith(MATERIAL)), -1)

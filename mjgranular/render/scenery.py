@@ -79,10 +79,7 @@ def add_daylight(spec: mujoco.MjSpec) -> None:
 def add_cut_scenery(spec: mujoco.MjSpec, reach: float, memory: Memory | None) -> None:
     """Add daylight to the model of a link, and extend its bed, which is cut open, to the horizon.
 
-    Args:
-        spec: the model to be; it is changed.
-        reach: largest extent of the link [m].
-        memory: memory of the sand, whose tracks are drawn; None for sand without.
+    `reach` is the largest extent of the link [m]. With memory the tracks are drawn.
     """
     add_daylight(spec)
     spec.delete(spec.geom("table"))

@@ -114,13 +114,8 @@ def line_around(canvas, number, begin, end):
 def add_rectangles(canvas, blocks, side, u, v, width):
     """Add rectangles for the part of a plane that the skin does not show.
 
-    Args:
-        canvas: record of `CANVAS_DTYPE`.
-        blocks: which blocks are drawn with the skin.
-        side: number of blocks along a side.
-        u: first coordinate of the window's first corner [m].
-        v: its second coordinate [m].
-        width: side of a block [m].
+    `blocks` says which blocks, `side` of them along a side of the window from (u, v) on and each of
+    that width [m], are drawn with the skin.
     """
     canvas.count = 0
     for a in range(side):
@@ -154,13 +149,7 @@ def first_of(canvas, axis, cell):
 
 @cache
 def shape_kernel(probe: Any, is_flat: bool, dtype: np.dtype) -> Any:
-    """Make the program `shape(canvas, 0.0)`, which fills in a record of `CANVAS_DTYPE`.
-
-    Args:
-        probe: probe of the surface without memory.
-        is_flat: whether that is locally plane.
-        dtype: record of the relief.
-    """
+    """Make the program `shape(canvas, 0.0)`, which fills in a record of `CANVAS_DTYPE`."""
     level, reliefs = level_kernel(probe, is_flat), records(dtype)
 
     @partial(compiled, inline=True)

@@ -22,12 +22,9 @@ SIGNATURE = "int64(int64, float64)"
 
 @dataclass(frozen=True)
 class Region:
-    """A rectangle of sand, along the axes of the plane under the heights.
+    """A rectangle of sand along the axes of the plane under the heights [m].
 
-    Attributes:
-        low: its first corner [m].
-        high: its last corner [m].
-        bottom: lower edge of its walls, over the plane [m]; 0 for none.
+    Its walls reach down to `bottom`, over the plane; 0 for none.
     """
 
     low: tuple[float, float]

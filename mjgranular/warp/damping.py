@@ -58,11 +58,7 @@ bound_of = translated(most_given)
 def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any, remembers: bool) -> Any:
     """Make the Warp kernel that computes each body's damping, one thread per world and body.
 
-    Args:
-        kernel: kernel of the law.
-        law_struct: struct of the law's parameters.
-        surface_struct: struct of the surface.
-        remembers: whether each world has its own heights.
+    `remembers` says whether each world has its own heights.
     """
     element_struct = struct_of(kernel.element)
     sample = translated(kernel.sample)

@@ -18,15 +18,9 @@ offsets below 1e-6 m as zero. Chosen."""
 
 
 def slots_of(model: mujoco.MjModel, elements: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """List the bodies in the sand and the degrees of freedom that move each.
+    """List the bodies in the sand (`SLOT_DTYPE`) and the degrees of freedom that move each.
 
-    Args:
-        model: MuJoCo model.
-        elements: elements of a law, ordered by body.
-
-    Returns:
-        Records of `SLOT_DTYPE`, and the degrees of freedom they index, body by body, each from its
-            last up to its root.
+    These, which the records index, come body by body, each from its last up to its root.
     """
     first = np.unique(elements["slot"], return_index=True)[1]
     slots = np.zeros(len(first), SLOT_DTYPE)
@@ -52,10 +46,9 @@ def chain_of(model: mujoco.MjModel, body: int) -> list[int]:
 
 
 def slots_of_dofs(nv: int, slots: np.ndarray, chain: np.ndarray) -> tuple[list[int], list[int]]:
-    """List, for each degree of freedom, the bodies in the sand that it moves.
+    """List, for each degree of freedom, the bodies in the sand that it moves: rows of `slots`.
 
-    Returns:
-        Rows of `slots`, ordered by degree of freedom; and the first index of each, nv + 1 values.
+    Also return the first index of each, nv + 1 values.
     """
     moved: list[list[int]] = [[] for _ in range(nv)]
     for s, slot in enumerate(slots):
@@ -77,11 +70,7 @@ def up_of(surface: Surface, model: mujoco.MjModel) -> np.ndarray:
 
 
 def check_no_plugins(model: mujoco.MjModel) -> None:
-    """Check that MuJoCo Warp accepts all plugins of a model.
-
-    Raises:
-        InputError: the model has a plugin that MuJoCo Warp rejects; says what would be right.
-    """
+    """Check that MuJoCo Warp accepts all plugins of a model."""
     for of in ("body", "actuator", "sensor"):
         if (getattr(model, f"{of}_plugin") >= 0).any():
             raise InputError(
@@ -91,11 +80,7 @@ def check_no_plugins(model: mujoco.MjModel) -> None:
 
 
 def check_model(model: mujoco.MjModel, slots: np.ndarray, chain: np.ndarray, m: Any) -> None:
-    """Check that a MuJoCo Warp model belongs to this sand and can hold it.
-
-    Raises:
-        InputError: it does not; says what would be right.
-    """
+    """Check that a MuJoCo Warp model belongs to this sand and can hold it."""
     for name in ("nv", "nbody", "njnt", "ngeom"):
         mine, given = getattr(model, name), getattr(m, name)
         if mine != given:

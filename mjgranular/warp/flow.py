@@ -23,12 +23,7 @@ _slope_to, _excess_of, _gains_of = (translated(each) for each in (slope_to, exce
 
 @functools.cache
 def flow_kernel(relief_struct: Any, level: Any) -> Any:
-    """Make the kernel for flow of sand on one kind of surface.
-
-    Args:
-        relief_struct: struct of the surface.
-        level: kernel from `relief.probe.level_kernel`.
-    """
+    """Make the kernel for flow of sand on a kind of surface with a `level` (`relief.probe`)."""
     level_at = translated(level)
 
     @wp.kernel(module="unique", enable_backward=False)

@@ -36,9 +36,6 @@ class WarpMemory:
 
     Attributes:
         surface: struct of the surface with its heights, as kernels read it.
-
-    Raises:
-        InputError: too many geoms.
     """
 
     def __init__(
@@ -90,11 +87,7 @@ class WarpMemory:
     def update(self, m: Any, d: Any, height: wp.array, up: wp.vec3) -> None:
         """Press sand down under the bodies of each world, deposit rims, and let it flow.
 
-        Args:
-            m: MuJoCo Warp model.
-            d: MuJoCo Warp data.
-            height: how much the surface is raised in each world [m].
-            up: direction in which it is raised.
+        In each world the surface is raised by `height` [m] along `up`.
         """
         relief, foot, task, volumes = self._plain, self._foot, self._task, self._volumes
         (worlds, _, blocks), feet = self._size, self._count.shape[1]
@@ -123,9 +116,8 @@ class WarpMemory:
     def volumes(self) -> dict[str, np.ndarray]:
         """Return the volumes of each world since its start [m^3], each of shape (nworld,).
 
-        Returns:
-            `pressed` down, `heaped` up, `forgotten` where the grid is wrapped around, and `waiting`
-                to be deposited beside a track.
+        They are `pressed` down, `heaped` up, `forgotten` where the grid is wrapped around, and
+        `waiting` to be deposited beside a track.
         """
         found = self._volumes.numpy()
         return {

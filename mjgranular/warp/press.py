@@ -54,12 +54,7 @@ def place_of(relief: Any, position: wp.vec3):
 
 @functools.cache
 def press_kernel(relief_struct: Any, level: Any) -> Any:
-    """Make the kernel in which surface points request heights, for one kind of surface.
-
-    Args:
-        relief_struct: struct of the surface.
-        level: kernel from `relief.probe.level_kernel`.
-    """
+    """Make the kernel in which points request heights, for a surface with that `level`."""
     level_at = translated(level)
 
     @wp.kernel(module="unique", enable_backward=False)

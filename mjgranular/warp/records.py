@@ -56,13 +56,7 @@ PlainRelief = struct_of_dtype("PlainRelief", _without_base(relief_dtype(np.dtype
 
 
 def to_device(records: np.ndarray, kind: Any, device: Any) -> wp.array:
-    """Copy structured records to a device, as structs with fields of the same names.
-
-    Args:
-        records: shape (n,).
-        kind: the struct, or a named tuple (`struct_of`).
-        device: Warp device.
-    """
+    """Copy records, shape (n,), to a device, as structs (`struct_of`) with the same fields."""
     made = struct_of(kind) if hasattr(kind, "_fields") else kind
     names = list(get_type_hints(kind)) if hasattr(kind, "_fields") else list(made.vars)
     packed: Any = np.zeros(len(records), made.numpy_dtype())
@@ -73,12 +67,7 @@ def to_device(records: np.ndarray, kind: Any, device: Any) -> wp.array:
 
 
 def struct_of_surface(surface: Surface, record: np.ndarray) -> Any:
-    """Return the Warp struct of a surface.
-
-    Args:
-        surface: the surface.
-        record: its record, shape (1,).
-    """
+    """Return the Warp struct of a surface with that record, shape (1,)."""
     return struct_of_dtype(_name_of(surface), record.dtype)
 
 
@@ -87,12 +76,7 @@ def surface_on_device(
 ) -> Any:
     """Return the record of a surface as a struct; a height field has its present heights.
 
-    Args:
-        surface: the surface.
-        record: its record, shape (1,).
-        model: the surface's model.
-        device: Warp device.
-        grid: its heights, if it has memory.
+    `grid` has its heights, if it has memory.
     """
     made = _filled(struct_of_surface(surface, record)(), record)
     names = record.dtype.names or ()
@@ -108,12 +92,7 @@ def surface_on_device(
 
 
 def plain_relief(record: np.ndarray, grid: Any) -> Any:
-    """Return a surface with memory as a `PlainRelief`.
-
-    Args:
-        record: record of the surface, shape (1,).
-        grid: its heights.
-    """
+    """Return a surface with memory as a `PlainRelief`, from its record and its heights."""
     made = _filled(PlainRelief(), record)
     made.state = grid
     return made

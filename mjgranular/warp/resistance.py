@@ -24,12 +24,8 @@ secant_of = translated(secant)
 def resistance_of(kernel: LawKernel) -> Any:
     """Make the resistance function of an immersed element.
 
-    Args:
-        kernel: kernel of the law.
-
-    Returns:
-        A Warp function of a sample, the law, g, the velocity v, the softness eps and the factors on
-            static resistance and on drag; it returns C.
+    It returns C for a sample, the law, g, the velocity v, the softness eps and the factors on
+    static resistance and on drag.
     """
     respond = translated(kernel.respond)
     if kernel.multiplier is TWO_LIMITS:

@@ -19,15 +19,8 @@ def check_room(
 ) -> None:
     """Check that a GPU has enough memory for a sand; on a CPU the operating system manages it.
 
-    Args:
-        device: Warp device.
-        worlds: number of worlds.
-        of_a_world: bytes per world.
-        elements: elements of a law, shared by all worlds.
-        resolution: resolution that the user set for them.
-
-    Raises:
-        InputError: it does not fit; says the need, what is free, and what would fit.
+    `of_a_world` are bytes per world, `elements` are shared by all worlds; `resolution` is as the
+    user set it. The error says the need, what is free, and what would fit.
     """
     if not device.is_cuda:
         return
@@ -45,11 +38,7 @@ def check_room(
 
 
 def check_room_to_remember(device: Any, worlds: int, memory: Memory) -> None:
-    """Check that a GPU has enough memory for the stored heights of all worlds.
-
-    Raises:
-        InputError: they do not fit; says the need, what is free, and which cells would fit.
-    """
+    """Check that a GPU has enough memory for the stored heights of all worlds."""
     if not device.is_cuda:
         return
     needed, free = _OF_A_NODE * worlds * memory.size**2, device.free_memory

@@ -8,10 +8,5 @@ import warp as wp
 
 
 def struct(name: str, fields: dict[str, Any]) -> Any:
-    """Make a Warp struct.
-
-    Args:
-        name: name of the struct.
-        fields: types by name.
-    """
+    """Make a Warp struct."""
     return wp.struct(type(name, (), {"__annotations__": fields, "__module__": __name__}))

@@ -149,11 +149,7 @@ def _field_type(kind: Any) -> Any:
 
 @functools.cache
 def translated(kernel: Any) -> Any:
-    """Return the Warp function of a kernel.
-
-    Args:
-        kernel: compiled function of vectors, numbers and named tuples.
-    """
+    """Return the Warp function of a compiled kernel of vectors, numbers and named tuples."""
     source: Callable[..., Any] = kernel.py_func
     names = source.__code__.co_names
     globals_ = dict(source.__globals__)
