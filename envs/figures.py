@@ -19,13 +19,7 @@ from mjgranular.surface.choice import surface_of
 
 
 class Figures:
-    """Reads the sensors that `put_on_sand` has added.
-
-    Args:
-        model: the model.
-        sands: sands in it, in the order in which they were added.
-        readings: a substitute for models without these sensors.
-    """
+    """Reads the sensors that `put_on_sand` has added, or `readings` that stand in for them."""
 
     def __init__(
         self,

@@ -180,13 +180,10 @@ def draw(
     *,
     span: float = 0.0,
 ) -> Sample:
-    """Sample a sand.
+    """Sample a sand; every call draws the same number of values.
 
-    Args:
-        ranges: the ranges.
-        choices: the sands that the model has.
-        random: random generator; every call draws the same number of values.
-        span: robots start on dunes at x within plus or minus this [m].
+    `choices` are the sands that the model has; robots start on dunes at x within plus or minus
+    `span` [m].
     """
     fitting = [
         number

@@ -226,9 +226,7 @@ class UnfeltWarning(GranularWarning):
 def warn_user(message: str, kind: type[GranularWarning] = GranularWarning) -> None:
     """Warn with a `GranularWarning` that points at the user's line, the last outside this package.
 
-    Args:
-        message: one sentence, as for an error.
-        kind: class of the warning.
+    The message is one sentence, as for an error.
     """
     frame = _outside(sys._getframe(1))
     if _is_ours(frame):  # compiled in another thread, for which the main one waits

@@ -152,12 +152,7 @@ class Link:
 
 
 def offset(point: tuple[float, float], q: float) -> tuple[float, float]:
-    """Return the vector from C to a point of the body, in world x and z [m].
-
-    Args:
-        point: x and z in the body's frame [m].
-        q: angle of the body about -y [rad].
-    """
+    """Return the vector from C to a point of the body at an angle q about -y, x and z [m]."""
     s, c = math.sin(q), math.cos(q)
     return point[0] * c - point[1] * s, point[0] * s + point[1] * c
 

@@ -84,10 +84,8 @@ def is_text(value: object) -> bool:
 def fits(value: object, kind: Any) -> bool:
     """Return True if a value fits a field of a type.
 
-    Args:
-        value: value from Python, JSON or TOML; numbers must be finite, strings printable.
-        kind: a plain type, None, or a union, tuple or literal of these; no other types are
-            supported.
+    Types are plain ones, None, and unions, tuples or literals of these. Numbers from Python, JSON
+    or TOML must be finite, strings printable.
     """
     origin, members = typing.get_origin(kind), typing.get_args(kind)
     if origin in (Union, types.UnionType):

@@ -31,10 +31,7 @@ _BISECTIONS = 100
 class Material:
     """A law, its medium, and a factor on its static resistance.
 
-    Attributes:
-        law: the law, with its constants.
-        medium: the medium.
-        given: names of the constants that were given; the others are the law's defaults.
+    `given` has the names of the constants that were given; the others are the law's defaults.
     """
 
     law: Law

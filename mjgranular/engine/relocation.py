@@ -67,9 +67,7 @@ class Image:
 class Struct:
     """An `mjModel` or `mjData` in memory, and the buffer that holds its arrays.
 
-    Args:
-        owner: the `MjModel` or `MjData`.
-        inside: kind of a relocation in the struct; the next one is by a pointer in it.
+    `inside` is the kind of a relocation in the struct; the next one is by a pointer in it.
     """
 
     def __init__(self, owner: Any, inside: int) -> None:

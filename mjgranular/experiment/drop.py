@@ -304,12 +304,7 @@ def run_drop(drop: Drop, *, progress: Callable[[float], None] | None = None) -> 
 
 
 def load(drop: Drop) -> tuple[mujoco.MjModel, str]:
-    """Return the compiled model by daylight, and its XML.
-
-    Raises:
-        InputError: MuJoCo cannot load it.
-        UnknownNameError: it lacks a geom that the sand replaces.
-    """
+    """Return the compiled model by daylight, and its XML."""
     with loading(drop.title):
         spec = read(drop)
         make_ready(spec, drop)

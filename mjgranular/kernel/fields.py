@@ -39,11 +39,9 @@ class Access:
 
 @cache
 def column(kind: Any, lanes: int) -> Access:
-    """Make the kernels for one value in an array of `lanes` lanes.
+    """Make the kernels for one value in an array of `lanes` lanes, the distance of its numbers.
 
-    Args:
-        kind: `float`, `Vector`, `Matrix`, a named tuple of these, or a number of floats.
-        lanes: distance between the value's numbers in the array.
+    The kind is `float`, `Vector`, `Matrix`, a named tuple of these, or a number of floats.
     """
     return _access(kind, lanes, types.float64)
 

@@ -46,15 +46,10 @@ _TURN = 1e-6
 
 @partial(compiled, inline=True)
 def dissipative(factors, rise, lead, eps):
-    """Return factors of a stress and their derivatives, without the part that would add energy.
+    """Return factors of a stress (of a `slope`), without the part that would add energy.
 
-    The fit describes leading faces; on the ramp it is also evaluated for slightly trailing ones.
-
-    Args:
-        factors: result of a `slope`.
-        rise: u.z.
-        lead: n.u.
-        eps: softness; 0 for no ramp.
+    The fit describes leading faces; on the ramp (`eps` > 0) it is also evaluated for slightly
+    trailing ones, by u.z (`rise`) and n.u (`lead`).
     """
     strength, f, by_rise, by_down, by_lead = factors
     against = -(f.x * lead + f.z * rise)

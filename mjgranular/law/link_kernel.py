@@ -94,13 +94,9 @@ def rod_cull(rod, level):
 
 @cache
 def link_kernel(limits: Any, probe: Any, ceiling: Any = None, lanes: int = 1) -> LawKernel:
-    """Make the kernels of one form of the law for surfaces with that `probe`.
+    """Make the kernels of one form of the law, whose `limits` are a kernel like `lumped_limits`.
 
-    Args:
-        limits: kernel like `lumped_limits`.
-        probe: probe of the surface.
-        ceiling: see `Surface.ceiling_kernel`.
-        lanes: as in `LawKernel`; 1 if a body is one rod.
+    `probe` and `ceiling` are the surface's; there is one lane if a body is one rod.
     """
 
     @partial(compiled, inline=True)

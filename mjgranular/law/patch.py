@@ -78,20 +78,13 @@ def leading_part(c, a, b):
 
 @partial(compiled, inline=True)
 def wet_part(depth, a, b):
-    """Return the mean depth over a facet, negative depth counting as zero, and its center.
+    """Return the mean depth over a facet [m], negative depth counting as zero, and its center.
 
     The mean of <depth + a s + b t> and its moments, over the same trapeziums and corners as in
     `leading_part`; the depth over a corner is a pyramid, with a mean of a third of its height and
-    its center of pressure at a quarter of its legs. Fully immersed the mean is `depth`, and the
-    moments are a/3 and b/3.
-
-    Args:
-        depth: depth of the facet's middle [m].
-        a: its rise along the first half edge [m], -edges[0].z for a level surface with normal z.
-        b: its rise along the second [m].
-
-    Returns:
-        The mean over the whole facet [m], and s and t of the center of pressure.
+    its center of pressure, s and t, at a quarter of its legs. Fully immersed the mean is `depth`,
+    that of the facet's middle, and the moments are a/3 and b/3. For a level surface the rise a is
+    -edges[0].z.
     """
     size_a, size_b = abs(a), abs(b)
     reach, first = size_a + size_b, size_a >= size_b

@@ -26,12 +26,9 @@ _LEAST_POWER = 0.02
 
 @partial(compiled, inline=True)
 def secant(force, slope, u):
-    """Return C of a force that moves along u.
+    """Return C of a force F / |v| [N s/m] that moves along u = v / |v|.
 
-    Args:
-        force: F / |v| [N s/m].
-        slope: minus its derivative by the velocity, a matrix [N s/m].
-        u: v / |v|.
+    The slope is minus the force's derivative by the velocity, a matrix [N s/m].
     """
     size, power = norm(force), -dot(force, u)
     resists = power > 0.0

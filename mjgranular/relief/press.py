@@ -171,11 +171,8 @@ def press_kernel(level: Any, is_flat: bool) -> Any:
 def heap(state, relief, first, volume):
     """Deposit sand around a body: each edge node of its track on all nodes within two cells.
 
-    Args:
-        state: state of the simulation.
-        relief: record of the surface.
-        first: first of the listed places under the body, which are the last in the list.
-        volume: volume of the sand [m^3].
+    `first` is the first of the listed places under the body, which are the last in the list; the
+    volume is in m^3.
     """
     volume += state[WAITING]
     if not volume > 0.0:

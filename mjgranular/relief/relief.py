@@ -38,16 +38,7 @@ def relief_dtype(base: np.dtype) -> np.dtype:
 
 @dataclass(frozen=True)
 class Relief(Surface):
-    """A surface with memory.
-
-    Attributes:
-        base: the surface without memory.
-        memory: its memory.
-        surroundings: distance up to which sand counts for the level around a point [m].
-
-    Raises:
-        InputError: a kind of surface without a plane under the heights, or too small an extent.
-    """
+    """A surface with memory; sand up to `surroundings` [m] around a point counts for its level."""
 
     base: Surface
     memory: Memory

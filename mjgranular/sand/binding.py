@@ -44,17 +44,10 @@ def bind(
     within: bool = False,
     state: np.ndarray | None = None,
 ) -> Binding:
-    """Make the binding of a prepared sand to a simulation.
+    """Make the binding of a prepared sand to a simulation of the model that it was prepared for.
 
-    Args:
-        model: the model.
-        data: the simulation.
-        sand: the sand, prepared for this model.
-        within: whether the forces are passive forces, computed inside MuJoCo's step.
-        state: memory for the state of the surface; None to allocate an array of untouched sand.
-
-    Raises:
-        InputError: the elements are not sorted by body.
+    `within` says whether its forces are passive ones, computed inside MuJoCo's step. `state` is
+    memory for the state of the surface; None to allocate an array of untouched sand.
     """
     elements, scheme = sand.elements, sand.scheme
     slots, first, counts = np.unique(elements["slot"], return_index=True, return_counts=True)

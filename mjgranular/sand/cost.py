@@ -44,13 +44,7 @@ class Cost:
 
 
 def coarser(elements: np.ndarray, resolution: int | None, most: int) -> str:
-    """Return advice on how to get fewer elements.
-
-    Args:
-        elements: elements of the law.
-        resolution: the requested one.
-        most: the largest number of elements wanted.
-    """
+    """Return advice on how to get fewer elements, at most `most` of them."""
     advice = "take fewer geoms"
     if "normal" not in (elements.dtype.names or ()):
         return advice

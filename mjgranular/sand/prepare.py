@@ -64,18 +64,10 @@ class PreparedSand:
 
 
 def prepare(model: mujoco.MjModel, spec: SandSpec, *, within: bool = False) -> PreparedSand:
-    """Prepare a sand for a model.
+    """Prepare a sand for a model, in which contacts of the sand's own geoms are switched off.
 
-    Args:
-        model: the model; contacts of geoms that are the sand, or that it replaces, are switched
-            off in it.
-        spec: the sand.
-        within: whether the sand acts inside `mj_step`. Then `model` must be a copy: its integrator
-            may change too.
-
-    Raises:
-        UnknownNameError: a name or group that does not exist; lists those that do.
-        InputError: geoms that the law has no elements for, or a model that the scheme cannot step.
+    Inside `mj_step` (`within`) the model must be a copy: its integrator may change too. Errors list
+    the names that exist, or say why law or scheme cannot take the model.
     """
     scheme = get_scheme(spec.scheme)
     if not within:
@@ -126,11 +118,7 @@ def fitted(model: mujoco.MjModel, spec: SandSpec) -> SandSpec:
     """Return a sand whose memory, if it has one, reaches as far as a model needs.
 
     `Sand` does this itself. Inside `mj_step` the size of the state is fixed before there is a
-    model: if you have one, pass the result of this to `add_sand`.
-
-    Args:
-        model: the model, perhaps without the sand.
-        spec: the sand.
+    model: if you have one, perhaps without the sand, pass the result of this to `add_sand`.
     """
     memory = as_memory(spec.memory)
     if memory is None:

@@ -25,16 +25,7 @@ _PLACES = frozenset(("center", "point", "geom", "body", "slot"))
 def remembering(
     model: mujoco.MjModel, chosen: ChosenSand, memory: Memory
 ) -> tuple[Relief, Footprint]:
-    """Return the surface of a sand with memory and the skin of its bodies; warn if needed.
-
-    Args:
-        model: the model.
-        chosen: the sand without memory.
-        memory: one that fits the model (`relief.footprint.fitting`).
-
-    Raises:
-        InputError: the surface cannot have memory, or the skin has more points than the capacity.
-    """
+    """Return the surface of a sand with that memory, and the skin of its bodies; warn if needed."""
     surface, geoms = chosen.surface, list(chosen.geoms)
     relief = Relief(surface, memory, surroundings_of(model, geoms, memory))
     advice.warn(advice.CHECKS_OF_MEMORY, model, geoms, surface, memory)
@@ -49,17 +40,9 @@ def kernel_under(
     *,
     forces_alone: bool = False,
 ) -> LawKernel:
-    """Return the kernel of a sand's law under its surface.
+    """Return the kernel of a sand's law under its surface, perhaps one with memory (`footprint`).
 
-    Args:
-        model: the model.
-        chosen: the sand without memory.
-        surface: the sand's, or the one with memory.
-        footprint: the skin of its bodies; None without memory.
-        forces_alone: whether to omit derivatives (`Law.kernel_of_forces`).
-
-    Raises:
-        InputError: the law cannot be used with memory.
+    `forces_alone` omits derivatives (`Law.kernel_of_forces`).
     """
     law = chosen.law
     kernel = _kernel_of(law, surface, forces_alone)
@@ -93,9 +76,6 @@ def _check_places(
 
     The surface points of bodies press the sand down; then there is none in the middle, and the body
     would sink without limit.
-
-    Raises:
-        InputError: names the geom, and how far inside its surface the law looks.
     """
     if not _PLACES.issuperset(reads):
         return

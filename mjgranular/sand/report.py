@@ -262,15 +262,8 @@ def describe(
 ) -> Report:
     """Make a report from the contacts that a kernel has just filled in.
 
-    Args:
-        data: the simulation.
-        sand: the sand.
-        members: for each body in the sand, the rows of its elements.
-        names: names of geoms and bodies.
-        binding: the binding with wrenches and contacts.
-        gravity: its magnitude [m/s^2].
-        slope: slope of the surface [rad].
-        solver: counters of the scheme.
+    `members` has for each body in the sand the rows of its elements; gravity is a magnitude
+    [m/s^2], and the slope of the surface is in radians.
     """
     table = _element_table(data, sand.elements, binding.contacts, gravity)
     limits, grain = sand.law.validity, sand.medium.grain and sand.medium.grain.value

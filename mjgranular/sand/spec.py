@@ -92,17 +92,7 @@ def _same(value: Any, default: Any) -> bool:
 
 
 def combined(spec: SandSpec | None, given: SandFields | None = None) -> SandSpec:
-    """Return a copy of a sand with some fields replaced.
-
-    Args:
-        spec: the sand, or a record that extends `SandSpec`, of which the other fields are dropped;
-            None for defaults.
-        given: the fields to replace.
-
-    Raises:
-        InputError: `spec` is not a `SandSpec`.
-        UnknownArgumentError: a sand has no such field; lists those it has.
-    """
+    """Return a sand, or that in a record that extends `SandSpec`, with some fields replaced."""
     if spec is not None and not isinstance(spec, SandSpec):
         raise InputError(
             f"sand is described by a SandSpec, not by {shown(spec)}; fields of one are given by "

@@ -131,12 +131,8 @@ def size_of(w, momentum):
 def balance(w, update):
     """Set the residual at the velocity `w.velocity`, and its Jacobian without the sand's part.
 
-    Args:
-        w: the workspace, with the sand's wrenches on bodies.
-        update: origin of friction multipliers: `FRESH`, `NEXT`, `SAME`.
-
-    Returns:
-        (size of the residual, greatest mismatch of a friction loss).
+    Return the size of the residual, and the greatest mismatch of a friction loss. `update` is
+    `FRESH`, `NEXT` or `SAME`.
     """
     change, residual, inertia = w.trial, w.residual, w.inertia
     for j in range(w.nv):

@@ -51,18 +51,12 @@ def newton(table, w, search):
     slides, and the residual grows meanwhile. Only if multipliers have stopped turning and the
     residual still grows is there a kink in between, and the step is halved.
 
-    The last step is not evaluated with the law. If it is so short that the law is linear over
-    it (`misfit`), forces are extrapolated by their derivative: the momenta balance with them,
-    and they equal the law's within the tolerance. The balance itself is checked, since one of
-    MuJoCo's constraints may begin or end on the way.
+    The last step is not evaluated with the law. If it is so short that the law is linear over it
+    (`misfit`), forces are extrapolated by their derivative: the momenta balance with them, and they
+    equal the law's within the tolerance. The balance itself is checked, since one of MuJoCo's
+    constraints may begin or end on the way.
 
-    Args:
-        table: table of addresses.
-        w: the workspace.
-        search: options of the search.
-
-    Returns:
-        (evaluations, residual; infinite while it is not meaningful).
+    Return the evaluations, and the residual, which is infinite while it is not meaningful.
     """
     velocity, change, eps = w.velocity, w.change, search.eps
     error, mismatch = evaluate(table, w, RESPOND, eps, search.update, search.loose)

@@ -28,20 +28,17 @@ _ROUNDING = 1e-15  # of a share
 def passive_share(w, error):
     """Return the largest share of the sand's momentum that adds no energy; 1 if all of it does not.
 
-    The first test uses the velocity found and its residual. The residual's size is measured with
-    the diagonal of the inertia alone, which may be far too small for long chains of light bodies:
-    hence a margin of a thousand, and large residuals are not trusted. Neither is a constraint
-    solver that may end farther from the solution than it starts (`implicit.warm_start`).
+    The first test uses the velocity found and its residual, `error` relative to `w.scale`. The
+    residual's size is measured with the diagonal of the inertia alone, which may be far too small
+    for long chains of light bodies: hence a margin of a thousand, and large residuals are not
+    trusted. Neither is a constraint solver that may end farther from the solution than it starts
+    (`implicit.warm_start`).
 
     The second test uses the velocity that a share leads to, computed by the engine itself if there
     are constraints. Its product with j grows with the share, linearly if there are none. So the
     reduction needed is known from both ends, and is doubled until the rest adds no energy. The
     returned share has been tested. It must be no smaller than needed: at rest, where rounding alone
     decides the sign of the energy, a share smaller by one in a million would disturb the balance.
-
-    Args:
-        w: the workspace, with the velocity that was found.
-        error: size of its residual, relative to `w.scale`.
     """
     if (w.descends != 0 or w.nefc == 0) and error < _TRUSTED:
         work = inner(w.sand, w.velocity)

@@ -32,12 +32,7 @@ from mjgranular.law.kernel import Pose
 
 @compiled
 def place_of(table, body):
-    """Return the addresses of the pose of a body in the sand, for `pose_at`.
-
-    Args:
-        table: table of the simulation (`kernel.memory`).
-        body: record of the body (`kernel.records`).
-    """
+    """Return the addresses of the pose of a body in the sand, for `pose_at`."""
     number = body.body
     return (
         table[XPOS] + 24 * number,
@@ -80,15 +75,8 @@ def add_wrenches(table):
 
     A row that still holds what the last call wrote is first restored to its value before that call.
     A row that does not has been written by the user since (or reset, or copied), and is taken as
-    the user's.
-
-    Inside MuJoCo's step the table has no `xfrc_applied`, and nothing is done.
-
-    Args:
-        table: table of the simulation (`kernel.memory`).
-
-    Returns:
-        -1, or the row in `bodies` of the first wrench that is not finite; then nothing is written.
+    the user's. Return -1, or the row in `bodies` of the first wrench that is not finite; then
+    nothing is written. Inside MuJoCo's step the table has no `xfrc_applied`, and nothing is done.
     """
     if table[XFRC] == 0:
         return -1

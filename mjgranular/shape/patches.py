@@ -33,14 +33,10 @@ _CANCELLED = 1e-6  # relative size of the summed area vectors below which a patc
 
 
 def pieces(corners: np.ndarray, resolution: int) -> np.ndarray:
-    """Divide triangles until no edge is longer than patches are wide.
+    """Divide triangles until no edge is longer than patches are wide; area vectors stay.
 
-    Args:
-        corners: corners of triangles [m], shape (n, 3, 3).
-        resolution: as of `facets_from_model`.
-
-    Returns:
-        Corners of triangles with the same area vectors, shape (m, 3, 3).
+    Corners of triangles are of shape (n, 3, 3) [m], before and after; the resolution is as of
+    `facets_from_model`.
     """
     corners, _, _ = _with_area(corners)
     if not len(corners):
@@ -61,11 +57,9 @@ def pieces(corners: np.ndarray, resolution: int) -> np.ndarray:
 
 
 def gathered(corners: np.ndarray, resolution: int) -> Facets:
-    """Group triangles into patches.
+    """Group triangles into patches, at most twice the square of the resolution.
 
-    Args:
-        corners: counter-clockwise seen from outside [m], shape (n, 3, 3).
-        resolution: as of `facets_from_model`; there are at most twice its square.
+    Their corners, counter-clockwise seen from outside [m], are of shape (n, 3, 3).
     """
     corners, vectors, areas = _with_area(corners)
     if not len(corners):

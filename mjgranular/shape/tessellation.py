@@ -138,12 +138,9 @@ def patches(skin: Skin, along: int, around: int) -> Cells:
 
 
 def rings(skin: Skin, counts: Sequence[int], turned: Sequence[float] | None = None) -> Cells:
-    """Return cells of a surface divided over u into rings of equal width.
+    """Return cells of a surface, closed in v, divided over u into rings of equal width.
 
-    Args:
-        skin: closed in v.
-        counts: number of patches around each ring.
-        turned: rotation of each ring in patches; None for none.
+    `counts` is the number of patches around each ring, `turned` its rotation in patches.
     """
     turned = turned or [0.0] * len(counts)
     parts = []

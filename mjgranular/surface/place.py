@@ -14,10 +14,6 @@ def find_geom(model: mujoco.MjModel, name: str, kind: mujoco.mjtGeom, word: str)
     """Return the id of a geom of that name and type that is fixed to the world.
 
     Its contacts are disabled in the model: bodies meet the sand only through its law.
-
-    Raises:
-        UnknownNameError: no such geom; lists those of the type.
-        InputError: a geom of another type, on a body that moves, or in an explicit contact pair.
     """
     if not isinstance(name, str):
         raise InputError(f"a {word} is given by the name of its geom, not by {shown(name)}")
