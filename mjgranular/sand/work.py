@@ -7,18 +7,9 @@ import numpy as np
 
 from mjgranular.kernel import entry
 from mjgranular.kernel.compiled import compiled
-from mjgranular.kernel.memory import (
-    BODIES,
-    BODY_COUNT,
-    CVEL,
-    SUBTREE_COM,
-    XIPOS,
-    floats,
-    row_of,
-    table_at,
-)
+from mjgranular.kernel.memory import CVEL, SUBTREE_COM, XIPOS, floats, row_of, table_at
 from mjgranular.kernel.motion import Motion, motion_along, read_motion, velocity_at
-from mjgranular.kernel.records import body_records
+from mjgranular.kernel.records import bodies_of
 from mjgranular.kernel.vector import dot, read_vector
 from mjgranular.sand.sand import Sand
 
@@ -33,7 +24,7 @@ def add_work(address, velocity, work, h):
     is from its start.
     """
     table = table_at(address)
-    bodies = body_records(table[BODIES], table[BODY_COUNT])
+    bodies = bodies_of(table)
     total = floats(work, len(bodies))
     for slot in range(len(bodies)):
         body = bodies[slot]

@@ -22,14 +22,7 @@ from mjgranular._util.checks import check_switch
 from mjgranular.errors import InputError, shown
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.fields import rows
-from mjgranular.kernel.memory import (
-    BODIES,
-    BODY_COUNT,
-    SCENE,
-    records,
-    scratch,
-    table_at,
-)
+from mjgranular.kernel.memory import SCENE, records, scratch, table_at
 from mjgranular.kernel.motion import (
     read_motion,
     still,
@@ -37,7 +30,7 @@ from mjgranular.kernel.motion import (
     velocity_change,
     write_motion,
 )
-from mjgranular.kernel.records import body_records
+from mjgranular.kernel.records import bodies_of
 from mjgranular.kernel.vector import Vector, cross
 from mjgranular.law.kernel import LawKernel
 from mjgranular.scheme.forces import add_total, force_kernel
@@ -133,7 +126,7 @@ def explicit_program(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
         status = check_options(table)
         if status != FINE:
             return status
-        bodies = body_records(table[BODIES], table[BODY_COUNT])
+        bodies = bodies_of(table)
         for slot in range(len(bodies)):
             write_motion(bodies[slot].wrench, 0, still())
         tile = room()

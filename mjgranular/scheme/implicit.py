@@ -47,16 +47,9 @@ from mjgranular.kernel.engine import (
     solve_inertia,
     tendon_bias_forces,
 )
-from mjgranular.kernel.memory import (
-    BODIES,
-    BODY_COUNT,
-    CONTACTS,
-    ELEMENT_COUNT,
-    WORKSPACE,
-    table_at,
-)
+from mjgranular.kernel.memory import WORKSPACE, table_at
 from mjgranular.kernel.options import options_at
-from mjgranular.kernel.records import body_records, contact_records
+from mjgranular.kernel.records import bodies_of, contacts_of
 from mjgranular.kernel.vector import cross, norm, read_vector, write_vector
 from mjgranular.law.kernel import LawKernel
 from mjgranular.scheme.balance import prepare_inertia
@@ -149,7 +142,7 @@ def implicit_program(address, lead):
         return BAD_METRIC
     w = workspace_at(table[WORKSPACE])
     read_options(table, w)
-    bodies = body_records(table[BODIES], table[BODY_COUNT])
+    bodies = bodies_of(table)
     withdraw_wrenches(table)
     for slot in range(len(bodies)):
         clear(bodies[slot].wrench)
@@ -273,7 +266,7 @@ def write_body_wrenches(w, bodies, share):
 @compiled
 def write_contacts(table, w, share):
     """Write the forces on elements to their contacts."""
-    contacts = contact_records(table[CONTACTS], table[ELEMENT_COUNT])
+    contacts = contacts_of(table)
     for i in range(w.count):
         tile = w.tiles[i]
         for lane in range(w.heads[i].live):

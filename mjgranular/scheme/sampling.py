@@ -12,19 +12,9 @@ from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.elementary import bits_of, number_of
 from mjgranular.kernel.fields import column, rows, size_of
 from mjgranular.kernel.lanes import all_of, choose, count_of
-from mjgranular.kernel.memory import (
-    BODIES,
-    BODY_COUNT,
-    CONTACTS,
-    ELEMENT_COUNT,
-    ELEMENTS,
-    SCENE,
-    floats,
-    records,
-    scratch,
-)
+from mjgranular.kernel.memory import CONTACTS, ELEMENTS, SCENE, floats, records, scratch
 from mjgranular.kernel.motion import velocity_at
-from mjgranular.kernel.records import CONTACT_DTYPE, body_records, contact_records
+from mjgranular.kernel.records import CONTACT_DTYPE, bodies_of, contacts_of
 from mjgranular.kernel.vector import Vector, write_vector
 from mjgranular.law.kernel import LawKernel, level_kernel
 from mjgranular.scheme.layout import (
@@ -77,7 +67,7 @@ def sampling_kernel(kernel: LawKernel, scene_dtype: np.dtype, finish: Any, *, co
     @partial(compiled, inline=True)
     def complete(table, workspace, body, place, g, address, number, live, is_first, lead):
         """Pass a tile to `finish`, and write its elements' contacts."""
-        contacts = contact_records(table[CONTACTS], table[ELEMENT_COUNT])
+        contacts = contacts_of(table)
         tile, pose = floats(address, size), pose_at(place)
         arm = read_all(tile, POINT * lanes) - pose.tree
         write_all(tile, ARM * lanes, arm)
@@ -93,7 +83,7 @@ def sampling_kernel(kernel: LawKernel, scene_dtype: np.dtype, finish: Any, *, co
 
     @compiled
     def sample_all(table, workspace, tiles, step, lead):
-        bodies = body_records(table[BODIES], table[BODY_COUNT])
+        bodies = bodies_of(table)
         surface = scene_records(table[SCENE], 1)[0].surface
         g = gravity_of(table)
         packed, depths = table[ELEMENTS], room_of_depths()
@@ -181,7 +171,7 @@ def _one_by_one(kernel: LawKernel, scene_dtype: np.dtype) -> tuple[Any, Any, Any
 
     @compiled
     def take(table, packed, first, lane, here, place, around, g, depths, address, live):
-        contacts = contact_records(table[CONTACTS], table[ELEMENT_COUNT])
+        contacts = contacts_of(table)
         scene = scene_records(table[SCENE], 1)[0]
         elements, tile = floats(packed, packed_size), floats(address, size)
         while lane < here and live < lanes:

@@ -9,8 +9,6 @@ import mujoco
 
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.memory import (
-    BODIES,
-    BODY_COUNT,
     CVEL,
     NBODY,
     SUBTREE_COM,
@@ -25,7 +23,7 @@ from mjgranular.kernel.memory import (
 )
 from mjgranular.kernel.motion import read_motion
 from mjgranular.kernel.options import NO_GRAVITY, options_at
-from mjgranular.kernel.records import body_records
+from mjgranular.kernel.records import bodies_of
 from mjgranular.kernel.vector import read_matrix, read_vector
 from mjgranular.law.kernel import Pose
 
@@ -86,7 +84,7 @@ def add_wrenches(table):
 @compiled
 def write_wrenches(table):
     """Do the work of `add_wrenches`."""
-    bodies = body_records(table[BODIES], table[BODY_COUNT])
+    bodies = bodies_of(table)
     xfrc = floats(table[XFRC], 6 * table[NBODY])
     for slot in range(len(bodies)):
         total = 0.0
@@ -112,7 +110,7 @@ def write_wrenches(table):
 def take_back_wrenches(address):
     """Restore `xfrc_applied` to what it was before `add_wrenches`, to the last bit."""
     table = table_at(address)
-    bodies = body_records(table[BODIES], table[BODY_COUNT])
+    bodies = bodies_of(table)
     xfrc = floats(table[XFRC], 6 * table[NBODY])
     for slot in range(len(bodies)):
         body = bodies[slot]
@@ -147,7 +145,7 @@ def withdraw_wrenches(table):
     """
     if table[XFRC] == 0:
         return
-    bodies = body_records(table[BODIES], table[BODY_COUNT])
+    bodies = bodies_of(table)
     xfrc = floats(table[XFRC], 6 * table[NBODY])
     for slot in range(len(bodies)):
         body = bodies[slot]
