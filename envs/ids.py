@@ -65,12 +65,7 @@ def register_task(task: type[Task]) -> str:
     if missing:
         raise InputError(f"the task {task.__name__} lacks {', '.join(missing)}")
     name = task.__name__
-    before = tasks.get(name)
-    again = before is not None and (before.__module__, before.__qualname__) == (
-        task.__module__,
-        task.__qualname__,
-    )
-    tasks.add(name, task, replace=again)
+    tasks.add(name, task)
     identity = id_of(name)
     if identity not in gym.registry:
         gym.register(

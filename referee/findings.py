@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -52,18 +53,9 @@ def findings(found: list[list[Comparison]]) -> dict[str, list[Row]]:
 
 
 def write_findings(file: Path, found: list[list[Comparison]]) -> None:
-    """Write `mjgranular/law/error_table.py`."""
-    lines = [
-        '"""Errors of laws against measured motion: written by `python referee/validate.py`."""',
-        "",
-        "FOUND: dict[str, tuple[tuple[float, float, float, int], ...]] = {",
-    ]
-    for law, rows in findings(found).items():
-        lines += [f'    "{law}": (', *(f"        {row}," for row in rows), "    ),"]
-    lines += [
-        "}",
-        '"""By law: greatest Froude number, least width in grains, worst error, number of runs."""',
-        "",
-        'SOURCE = "docs/validity.md"',
-    ]
-    file.write_text("\n".join(lines) + "\n")
+    """Write `mjgranular/law/error_table.csv`."""
+    with file.open("w", newline="", encoding="utf-8") as table:
+        writer = csv.writer(table, lineterminator="\n")
+        writer.writerow(("law", "froude", "grains", "error", "runs"))
+        for law, rows in findings(found).items():
+            writer.writerows((law, *row) for row in rows)

@@ -1,6 +1,6 @@
 """Holds every law against every set of measured motion, and writes what comes out.
 
-    python referee/validate.py          # docs/validity.md, its figures, law/error_table.py
+    python referee/validate.py          # docs/validity.md, its figures, law/error_table.csv
     python referee/validate.py --report page.md --only seen
 
 Run it after a law, a constant or a set has changed. Errors are those of whole trajectories
@@ -210,7 +210,7 @@ def main(words: list[str] | None = None) -> None:
     write_page(options.report, found, figures)
     print(f"wrote {options.report}")
     if options.only is None and options.report == ROOT / "docs" / "validity.md":
-        write_findings(ROOT / "mjgranular" / "law" / "error_table.py", found)
+        write_findings(ROOT / "mjgranular" / "law" / "error_table.csv", found)
 
 
 if __name__ == "__main__":

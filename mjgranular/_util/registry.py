@@ -18,8 +18,9 @@ class Registry(Mapping[str, T]):
         self._things: dict[str, T] = {}
 
     def add(self, name: str, thing: T, *, replace: bool = False) -> None:
-        """Register `thing` as `name`."""
-        if not replace and self._things.get(name, thing) is not thing:
+        """Register `thing` as `name`; a class that is defined again replaces the old one."""
+        before = self._things.get(name, thing)
+        if not replace and before is not thing and _origin(before) != _origin(thing):
             raise InputError(
                 f"a {self._kind} named {name!r} exists already; choose another name or replace=True"
             )
@@ -36,3 +37,8 @@ class Registry(Mapping[str, T]):
 
     def __len__(self) -> int:
         return len(self._things)
+
+
+def _origin(thing: object) -> tuple[object, ...]:
+    """Return where a class was defined; of anything else, which of all things it is."""
+    return (thing.__module__, thing.__qualname__) if isinstance(thing, type) else (id(thing),)

@@ -11,8 +11,7 @@ from typing import Any, ClassVar, NamedTuple, Self
 import mujoco
 import numpy as np
 
-from mjgranular._util.checks import is_finite
-from mjgranular.errors import InputError, shown
+from mjgranular.errors import InputError
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.vector import Matrix, Vector, diagonal, norm, outer, transposed
 from mjgranular.law.kernel import LawKernel
@@ -20,8 +19,6 @@ from mjgranular.law.law import Law, register_law
 from mjgranular.law.validity import Limit
 from mjgranular.shape.blobs import blobs_from_model, support
 from mjgranular.surface import Surface
-
-_KEYS = ("constant", "stiffness", "exponent", "linear", "quadratic")
 
 
 class Blob(NamedTuple):
@@ -118,12 +115,7 @@ class DepthVelocityLaw(Law):
     quadratic: float = 0.0
 
     def __post_init__(self) -> None:
-        for key in _KEYS:
-            value = getattr(self, key)
-            if not (is_finite(value) and value >= 0):
-                raise InputError(
-                    f"DepthVelocityLaw: {key} must be finite and not negative, not {shown(value)}"
-                )
+        self.check_not_negative("constant", "stiffness", "exponent", "linear", "quadratic")
 
     @classmethod
     def bingham(cls, *, constant: float, linear: float) -> Self:

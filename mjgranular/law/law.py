@@ -99,6 +99,16 @@ class Law(ABC):
             parameters[name] = value
         return parameters
 
+    def check_not_negative(self, *names: str) -> None:
+        """Check that fields are finite and not negative."""
+        for name in names:
+            value = getattr(self, name)
+            if not (is_finite(value) and value >= 0):
+                raise InputError(
+                    f"{type(self).__name__}: {name} must be finite and not negative, not "
+                    f"{shown(value)}"
+                )
+
     @property
     def findings(self) -> tuple[Finding, ...]:
         """Return the errors found against measured motion; empty for a law without comparisons."""
@@ -136,12 +146,7 @@ def register_law(law: LawClass, *, replace: bool = False) -> LawClass:
     """
     if not (isinstance(law, type) and issubclass(law, Law)):
         raise InputError(f"a law is a class that derives from mjgranular.Law, not {kind_of(law)}")
-    before = laws.get(law.name)
-    again = before is not None and (before.__module__, before.__qualname__) == (
-        law.__module__,
-        law.__qualname__,
-    )
-    laws.add(law.name, law, replace=replace or again)
+    laws.add(law.name, law, replace=replace)
     return law
 
 

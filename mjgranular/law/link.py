@@ -21,8 +21,7 @@ from typing import Any, ClassVar, Self
 import mujoco
 import numpy as np
 
-from mjgranular._util.checks import is_finite
-from mjgranular.errors import InputError, shown
+from mjgranular.errors import InputError
 from mjgranular.law.kernel import LawKernel
 from mjgranular.law.law import Law, constants_of, register_law
 from mjgranular.law.link_kernel import (
@@ -55,13 +54,7 @@ class _LinkForm(Law):
     )
 
     def __post_init__(self) -> None:
-        for key in LINK_KEYS:
-            value = getattr(self, key)
-            if not (is_finite(value) and value >= 0):
-                raise InputError(
-                    f"{type(self).__name__}: {key} must be finite and not negative, not "
-                    f"{shown(value)}"
-                )
+        self.check_not_negative(*LINK_KEYS)
 
     @classmethod
     def from_medium(cls, medium: Medium | str) -> Self:

@@ -10,8 +10,7 @@ from typing import Any, ClassVar
 import mujoco
 import numpy as np
 
-from mjgranular._util.checks import check_switch, is_finite
-from mjgranular.errors import InputError, shown
+from mjgranular._util.checks import check_switch
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.vector import dot
 from mjgranular.law.facet import facet_kernel
@@ -95,13 +94,7 @@ class RftLaw(Law):
     def check_options(self, *more: str) -> None:
         """Check the options; `more` names other numbers that must not be negative."""
         check_switch(f"{type(self).__name__}: rise", self.rise)
-        for key in (*more, "inertia", "added", "cone", "rate", "lateral"):
-            value = getattr(self, key)
-            if not (is_finite(value) and value >= 0):
-                raise InputError(
-                    f"{type(self).__name__}: {key} must be finite and not negative, not "
-                    f"{shown(value)}"
-                )
+        self.check_not_negative(*more, "inertia", "added", "cone", "rate", "lateral")
 
     def elements(
         self, model: mujoco.MjModel, geoms: Sequence[int], resolution: int | None = None

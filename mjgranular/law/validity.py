@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
 from typing import Literal
-
-from mjgranular.law.error_table import FOUND, SOURCE
 
 Measure = Literal["froude", "inertial_number", "depth_over_width", "slope"]
 
@@ -69,12 +70,21 @@ class Finding:
     grains: float
     error: float
     runs: int
-    source: str = SOURCE
+    source: str = "docs/validity.md"
 
 
+@cache
 def findings_of(name: str) -> tuple[Finding, ...]:
-    """Return the errors of a law, by its name on the page of validity."""
-    return tuple(Finding(*numbers) for numbers in FOUND.get(name, ()))
+    """Return the errors of a law, by its name on the page of validity.
+
+    The table is written by `python referee/validate.py`.
+    """
+    with Path(__file__).with_name("error_table.csv").open(encoding="utf-8") as file:
+        return tuple(
+            Finding(*(float(row[key]) for key in ("froude", "grains", "error")), int(row["runs"]))
+            for row in csv.DictReader(file)
+            if row["law"] == name
+        )
 
 
 def found_at(

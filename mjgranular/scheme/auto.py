@@ -10,7 +10,7 @@ import mujoco
 
 from mjgranular.scheme.explicit import Explicit
 from mjgranular.scheme.implicit import Implicit
-from mjgranular.scheme.scheme import Scheme, SchemeChoice, refuse_runge_kutta, schemes
+from mjgranular.scheme.scheme import Scheme, SchemeChoice, schemes
 
 _logger = logging.getLogger(__name__)
 
@@ -54,9 +54,6 @@ class Auto(SchemeChoice):
         chosen, reason = choose_scheme(model.opt.timestep, elements, adds_mass)
         _logger.info("scheme %s: %s", chosen.name, reason)
         return chosen
-
-    def check(self, model: mujoco.MjModel) -> None:
-        refuse_runge_kutta(model)
 
 
 schemes.add(Auto.name, Auto)

@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 from functools import cache, partial
 from typing import Any, ClassVar
 
-import mujoco
 import numpy as np
 
 from mjgranular._util.checks import check_switch
@@ -36,7 +35,7 @@ from mjgranular.law.kernel import LawKernel
 from mjgranular.scheme.forces import add_total, force_kernel
 from mjgranular.scheme.layout import ARM, FORCE, LED, VELOCITY, WEIGHT, tile_size
 from mjgranular.scheme.sampling import sampling_kernel
-from mjgranular.scheme.scheme import Scheme, refuse_runge_kutta, schemes
+from mjgranular.scheme.scheme import Scheme, schemes
 from mjgranular.scheme.status import BAD_STATE, FINE, check_options
 from mjgranular.scheme.wrenches import add_wrenches, is_bad, pose_at
 
@@ -84,9 +83,6 @@ class Explicit(Scheme):
                 "law='rft3d'"
             )
         return explicit_program(replace(kernel, added=None), scene)
-
-    def check(self, model: mujoco.MjModel) -> None:
-        refuse_runge_kutta(model)
 
 
 schemes.add(Explicit.name, Explicit)

@@ -59,7 +59,7 @@ from mjgranular.scheme.evaluation import find_elements, forces_program
 from mjgranular.scheme.layout import FORCE, INDEX
 from mjgranular.scheme.metric import is_unsupported, make_metric
 from mjgranular.scheme.passivity import passive_share
-from mjgranular.scheme.scheme import Scheme, Workspace, refuse_runge_kutta, schemes
+from mjgranular.scheme.scheme import Scheme, Workspace, schemes
 from mjgranular.scheme.solver import find_velocity, lane_vector
 from mjgranular.scheme.status import BAD_METRIC, BAD_STATE, FINE, check_options
 from mjgranular.scheme.workspace import (
@@ -87,7 +87,6 @@ class Implicit(Scheme):
     name: ClassVar[str] = "implicit"
     title: ClassVar[str] = "forces at the end of the step: exact rest, large steps"
     whole_state: ClassVar[bool] = True
-    integrators: ClassVar[tuple[str, ...]] = ("EULER", "IMPLICIT", "IMPLICITFAST", "DISCRETE")
 
     evaluations: int = 160
 
@@ -118,7 +117,7 @@ class Implicit(Scheme):
         )
 
     def check(self, model: mujoco.MjModel) -> None:
-        refuse_runge_kutta(model)
+        super().check(model)
         options = model.opt
         # As Python: it would be compiled anew in every process.
         if is_unsupported.py_func(options.integrator, options.solver, options.enableflags):

@@ -61,9 +61,14 @@ class SchemeChoice(ABC):
     ) -> Scheme:
         """Return the scheme for a model, its number of elements, and its law (`Law.adds_mass`)."""
 
-    @abstractmethod
     def check(self, model: mujoco.MjModel) -> None:
         """Check that the scheme can step a model; the error says what to set instead."""
+        if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
+            raise InputError(
+                "the integrator RK4 cannot be stepped with a force from outside: mj_step1 and "
+                "mj_step2 would silently be Euler; set the model's integrator to Euler, implicit "
+                "or implicitfast"
+            )
 
 
 class Scheme(SchemeChoice):
@@ -165,13 +170,3 @@ def get_scheme(scheme: str | SchemeChoice | type[SchemeChoice]) -> SchemeChoice:
         return schemes[scheme]()
     cls, given = read_part(scheme, schemes, "scheme")
     return cls(**given)
-
-
-def refuse_runge_kutta(model: mujoco.MjModel) -> None:
-    """Check that the integrator supports forces computed outside the step; RK4 does not."""
-    if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
-        raise InputError(
-            "the integrator RK4 cannot be stepped with a force from outside: mj_step1 and "
-            "mj_step2 would silently be Euler; set the model's integrator to Euler, implicit "
-            "or implicitfast"
-        )
