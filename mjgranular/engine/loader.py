@@ -28,7 +28,6 @@ from mjgranular.engine.config import DRAWINGS, KEYS, named, read_config
 from mjgranular.engine.handles import HandleTable
 from mjgranular.engine.instances import NAME, config_texts, instance_name, plugin_slot
 from mjgranular.engine.measures import SENSOR, SENSOR_KEYS
-from mjgranular.engine.preparing import prepare_in_worker
 from mjgranular.engine.relocation import NO_RELOCATIONS, Image
 from mjgranular.engine.tuning import NO_TUNINGS, STATE_SIZE, make_tunings
 from mjgranular.errors import InputError, UnknownNameError
@@ -36,7 +35,7 @@ from mjgranular.kernel.compiled import program_address
 from mjgranular.kernel.engine import library
 from mjgranular.kernel.options import NO_PASSIVE_FORCES
 from mjgranular.kernel.structs import array_size, check_layout, fields_of, offset_of, read_struct
-from mjgranular.kernel.threads import LOADER
+from mjgranular.kernel.threads import LOADER, prepare_in_worker
 from mjgranular.law import laws
 from mjgranular.medium import media
 from mjgranular.relief.relief import Relief

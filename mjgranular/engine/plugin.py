@@ -21,7 +21,6 @@ import mujoco
 from mjgranular.engine.config import KEYS, STATE_KEYS, read_config
 from mjgranular.engine.instances import NAME, config_texts, instance_name
 from mjgranular.engine.measures import MEASURES, SENSOR, SENSOR_KEYS
-from mjgranular.engine.preparing import is_preparing, prepare_in_worker
 from mjgranular.engine.trampolines import (
     ERROR,
     FINE,
@@ -37,7 +36,7 @@ from mjgranular.kernel.compiler import CompilerError
 from mjgranular.kernel.engine import library
 from mjgranular.kernel.intrinsics import publish_functions
 from mjgranular.kernel.structs import LayoutError, check_layout
-from mjgranular.kernel.threads import ENGINE, is_main
+from mjgranular.kernel.threads import ENGINE, is_main, is_preparing, prepare_in_worker
 from mjgranular.relief.memory import as_memory
 
 _logger = logging.getLogger(__name__)

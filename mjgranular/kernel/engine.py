@@ -1,7 +1,7 @@
-"""MuJoCo's library: functions that kernels call during a step, and its constraint rows.
+"""MuJoCo's library: functions that kernels call during a step.
 
-Cached machine code must not contain addresses. Functions are called by name, resolved when the code
-is loaded, and fields of `mjData` by their offsets (`structs`).
+Cached machine code must not contain addresses: functions are called by name, resolved when the code
+is loaded.
 """
 
 from __future__ import annotations
@@ -13,10 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import mujoco
-import numpy as np
 
 from mjgranular.kernel.intrinsics import c_function, publish_functions
-from mjgranular.kernel.structs import check_layout, offset_of, record_of
 
 _PATTERN = {"win32": "mujoco.dll", "darwin": "libmujoco*.dylib"}.get(sys.platform, "libmujoco.so*")
 
@@ -74,33 +72,3 @@ add_metric_product = _function("mj_effMulAdd", _ADDRESS, _ADDRESS, _ADDRESS, _AD
 factor_inertia = _function("mj_factorI", *2 * (_ADDRESS,), _INT, *4 * (_ADDRESS,))
 turns_freely = _function("mjd_freeGyroPossible", _ADDRESS, _ADDRESS, _INT, result=_INT)
 free_bias_derivative = _function("mjd_freeBias_vel", _ADDRESS, _ADDRESS, _INT, _ADDRESS)
-
-
-CONTACT_DTYPE = record_of("mjContact")
-
-# The rows are in an arena whose layout changes at every step, so that their pointers are read at
-# every step.
-_ROWS = {
-    "count": "nefc",
-    "contacts": "ncon",
-    "contact": "contact",
-    "kind": "efc_type",
-    "owner": "efc_id",
-    "row_size": "efc_J_rownnz",
-    "row_start": "efc_J_rowadr",
-    "column": "efc_J_colind",
-    "jacobian": "efc_J",
-    "loss": "efc_frictionloss",
-    "mass": "efc_D",
-    "reference": "efc_aref",
-    "diagonal": "efm_diag",  # from here on: of the effective metric
-    "shift": "efm_c",
-    "actuation_shift": "efm_ca",
-}
-ROWS_DTYPE = np.dtype([(name, np.int64) for name in _ROWS])
-
-
-def constraint_rows() -> tuple[int, ...]:
-    """Return the offsets in `mjData` of what describes its constraint rows, as `ROWS_DTYPE`."""
-    check_layout("mjData")
-    return tuple(offset_of("mjData", field) for field in _ROWS.values())

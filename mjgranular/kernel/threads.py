@@ -109,6 +109,26 @@ def run_in_worker(work: Callable[[], T]) -> T:
     return task.value
 
 
+def prepare_in_worker(work: Callable[[], T]) -> T:
+    """Run a function as `run_in_worker` does, while MuJoCo waits in a callback.
+
+    MuJoCo turns its errors into exceptions by a jump to a target stored per thread. While it waits
+    in a callback, nothing on its thread may call it again through Python: the target would be
+    overwritten, and the next error would jump to an invalid address.
+    """
+
+    def run() -> T:
+        _here.preparing = True
+        return work()
+
+    return run_in_worker(run)
+
+
+def is_preparing() -> bool:
+    """Return True if this thread prepares sand: models and data it makes get none."""
+    return getattr(_here, "preparing", False)
+
+
 def uninterrupted(work: Callable[[], T]) -> T:
     """Run a function outside the main thread, where no interrupt can split it."""
     return run_in_worker(work) if is_main() else work()

@@ -254,11 +254,8 @@ class Rft3dLaw(RftLaw):
         parameters["stiffness"] = self.stiffness
         parameters["friction"] = self.surface_friction
         parameters["inertia"] = self.inertia * self.density
-        parameters["added"] = self.added
-        parameters["density"] = self.density
-        parameters["rise"] = self.rise
-        parameters["cone"] = self.cone
-        parameters["lateral"] = self.lateral
+        for key in ("added", "density", "rise", "cone", "lateral"):
+            parameters[key] = getattr(self, key)
         shear = shear_constants(self.density, self.grain, self.internal_friction, self.rate)
         for key, value in zip(("shear", "rate_1", "rate_2", "rate_3"), shear, strict=True):
             parameters[key] = value

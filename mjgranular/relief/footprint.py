@@ -13,7 +13,7 @@ import numpy as np
 
 from mjgranular.kernel.lanes import aligned
 from mjgranular.relief.memory import WINDOW, Memory
-from mjgranular.shape.sizes import check_count, geom_width, half_extents
+from mjgranular.shape.sizes import check_count, geom_axes, geom_width, half_extents
 
 POINT_DTYPE = np.dtype(
     [
@@ -158,9 +158,7 @@ def _on_skin(model: mujoco.MjModel, geom: int, cell: float) -> np.ndarray:
         places, normals = _revolved(profile, cell)
         stretch = radius / radius.max()
         places, normals = places * stretch, normals / stretch
-    rotation = np.zeros(9)
-    mujoco.mju_quat2Mat(rotation, model.geom_quat[geom])
-    turn = rotation.reshape(3, 3).T
+    turn = geom_axes(model, geom).T
     points = np.zeros(len(places), POINT_DTYPE)
     points["point"] = places @ turn + model.geom_pos[geom]
     points["normal"] = normals / np.linalg.norm(normals, axis=1)[:, None] @ turn

@@ -11,32 +11,30 @@ from mjgranular.errors import InputError
 from mjgranular.kernel.compiled import program_address
 from mjgranular.law import Law, laws, make_scene
 from mjgranular.law.kernel import LawKernel
-from mjgranular.medium import Medium
 from mjgranular.medium.medium import DYNAMIC
 from mjgranular.relief.footprint import Footprint, fitting
 from mjgranular.relief.memory import as_memory
 from mjgranular.relief.update import update_program
 from mjgranular.sand import advice
-from mjgranular.sand.chosen import choose_sand, geoms_in_sand
-from mjgranular.sand.remembering import kernel_under, remembering
+from mjgranular.sand.chosen import (
+    ChosenSand,
+    choose_sand,
+    geoms_in_sand,
+    kernel_under,
+    remembering,
+)
 from mjgranular.sand.spec import SandSpec, combined
 from mjgranular.scheme import Auto, Explicit, Scheme, get_scheme
 from mjgranular.scheme.auto import FINE_STEP
 from mjgranular.scheme.scheme import FORCES, STEP, SchemeChoice
-from mjgranular.surface import Surface
 
 
 @dataclass(frozen=True, kw_only=True)
-class PreparedSand:
-    """A sand that fits a model.
+class PreparedSand(ChosenSand):
+    """A sand that fits a model, with its memory.
 
     Attributes:
-        medium: the medium.
-        law: the law, with its constants.
-        surface: the surface.
-        geoms: ids of the geoms that meet the sand.
         scheme: the one that acts, also where "auto" was given.
-        elements: elements of the law: a structured array, sorted by body.
         packed: the elements as the program reads them.
         scene: parameters of law and surface, shape (1,).
         kernel: kernel of the law under this surface.
@@ -47,12 +45,7 @@ class PreparedSand:
         disabled: ids of the geoms whose contacts are off: the sand itself, and what it replaces.
     """
 
-    medium: Medium
-    law: Law
-    surface: Surface
-    geoms: tuple[int, ...]
     scheme: Scheme
-    elements: np.ndarray
     packed: np.ndarray
     scene: np.ndarray
     kernel: LawKernel
@@ -73,7 +66,7 @@ def prepare(model: mujoco.MjModel, spec: SandSpec, *, within: bool = False) -> P
     if not within:
         scheme.check(model)
     chosen = choose_sand(model, spec)
-    medium, law, surface, elements = chosen.medium, chosen.law, chosen.surface, chosen.elements
+    law, surface, elements = chosen.law, chosen.surface, chosen.elements
     if within:
         scheme = _scheme_within_step(scheme, model, law)
     scheme = scheme.scheme_for(model, len(elements), adds_mass=law.adds_mass)
@@ -84,7 +77,7 @@ def prepare(model: mujoco.MjModel, spec: SandSpec, *, within: bool = False) -> P
         memory = memory if within else fitting(model, chosen.geoms, memory)
         surface, footprint = remembering(model, chosen, memory)
     advice.warn(advice.CHECKS_OF_COST, elements, spec.resolution, scheme)
-    scene = make_scene(law, medium, surface, model)
+    scene = make_scene(law, chosen.medium, surface, model)
     if footprint is not None:
         scene["surface"]["points"] = footprint.points.ctypes.data
         scene["surface"]["spheres"] = footprint.spheres.ctypes.data
@@ -97,12 +90,8 @@ def prepare(model: mujoco.MjModel, spec: SandSpec, *, within: bool = False) -> P
     law_program = 0 if forces is None else program_address(forces, FORCES, what)
     shared = what if forces is None else f"scheme {scheme.name}"
     return PreparedSand(
-        medium=medium,
-        law=law,
-        surface=surface,
-        geoms=chosen.geoms,
+        **(vars(chosen) | {"surface": surface}),
         scheme=scheme,
-        elements=elements,
         packed=kernel.pack(elements),
         scene=scene,
         kernel=kernel,

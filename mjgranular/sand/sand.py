@@ -252,9 +252,7 @@ class Sand:
         Raises:
             InputError: the sand has no memory.
         """
-        surface = self._remembering()
-        self._bind(data)
-        state = self._bindings[data].state
+        surface, state = self._remembering(), self._state_of(data)
         if middle is None:
             places = data.xpos[np.unique(self._sand.elements["body"])]
             middle = place_in_plane(surface.base, self._model, places.mean(axis=0))
@@ -269,11 +267,8 @@ class Sand:
         Raises:
             InputError: the sand has no memory.
         """
-        self._remembering()
-        self._bind(origin)
-        self._bind(to)
-        state = self._bindings[to].state
-        state[:] = self._bindings[origin].state
+        known, state = self._state_of(origin), self._state_of(to)
+        state[:] = known
         state[TIME] = to.time  # whatever it is, so that the copy is not cleared
 
     def save_memory(self, data: mujoco.MjData) -> np.ndarray:
@@ -282,9 +277,7 @@ class Sand:
         Raises:
             InputError: the sand has no memory.
         """
-        self._remembering()
-        self._bind(data)
-        return self._bindings[data].state.copy()
+        return self._state_of(data).copy()
 
     def restore_memory(self, data: mujoco.MjData, saved: np.ndarray) -> None:
         """Restore the memory of a simulation's sand, also one saved by another process.
@@ -297,9 +290,7 @@ class Sand:
             InputError: the sand has no memory; or the array has a wrong size or numbers that are
                 not finite, and then nothing is changed.
         """
-        self._remembering()
-        self._bind(data)
-        state = self._bindings[data].state
+        state = self._state_of(data)
         state[:] = checked_state(saved, len(state))
         state[TIME] = data.time
 
@@ -308,6 +299,12 @@ class Sand:
         if not isinstance(surface, Relief):
             raise InputError("this sand has no memory: make it with Sand(..., memory=True)")
         return surface
+
+    def _state_of(self, data: mujoco.MjData) -> np.ndarray:
+        """Return the state of the memory in a simulation, not a copy."""
+        self._remembering()
+        self._bind(data)
+        return self._bindings[data].state
 
     def report(self, data: mujoco.MjData) -> Report:
         """Report the sand's action at the state in `data` (`qpos`, `qvel`), which is not changed.

@@ -13,9 +13,10 @@ import mujoco
 import numpy as np
 
 from mjgranular.kernel.compiled import compiled
-from mjgranular.kernel.engine import CONTACT_DTYPE, ROWS_DTYPE, constraint_rows, is_sparse
+from mjgranular.kernel.engine import is_sparse
 from mjgranular.kernel.memory import ints, longs
 from mjgranular.kernel.options import options_at
+from mjgranular.kernel.structs import check_layout, offset_of, record_of
 from mjgranular.kernel.views import Views, views_at
 from mjgranular.law.kernel import LawKernel
 from mjgranular.scheme.layout import HEAD_DTYPE, tile_count, tile_size
@@ -88,6 +89,19 @@ _OF_DATA = _by_name({
     (_F, ("nD",)): ("qDeriv",),
     (_F, ("nbody", 3)): ("subtree_com", "xipos"),
 })  # fmt: skip
+# In MuJoCo's arena, whose layout changes at every step: their pointers are read at every step.
+_OF_CONSTRAINTS = {
+    "contact": (record_of("mjContact"), ("ncon",)),
+    **_by_name({
+        (_I, ("nefc",)): ("efc_type", "efc_id", "efc_J_rownnz", "efc_J_rowadr"),
+        (_I, ("nJ",)): ("efc_J_colind",),
+        (_F, ("nJ",)): ("efc_J",),
+        (_F, ("nefc",)): ("efc_frictionloss", "efc_D", "efc_aref"),
+        # Absent without the effective metric; `efm_diag` and `efm_ca` may be absent with it.
+        (_F, ("nv",)): ("efm_diag", "efm_c", "efm_ca"),
+    }),
+}  # fmt: skip
+_OFFSETS = ("nefc", "ncon", *_OF_CONSTRAINTS)
 _OWN = {
     "velocity": (_F, ("nv",)),  # v', unknown: at the end of the step
     "start": (_F, ("nv",)),  # v, at its beginning
@@ -127,29 +141,8 @@ _OWN = {
     "heads": (HEAD_DTYPE, ("tile_count",)),  # of tiles: body, live lanes
     "tiles": (_F, ("tile_count", "tile_size")),
     "statistics": (STATISTICS_DTYPE, (1,)),
-    "offsets": (
-        _L,
-        (len(ROWS_DTYPE.names or ()),),
-    ),  # of what describes the constraints, in `mjData`
+    "offsets": (_L, (len(_OFFSETS),)),  # of what describes the constraints, in `mjData`
 }
-# In MuJoCo's arena, whose layout changes at every step; in the order of `offsets`.
-_OF_CONSTRAINTS = {
-    "contact": (CONTACT_DTYPE, ("ncon",)),
-    "efc_type": (_I, ("nefc",)),
-    "efc_id": (_I, ("nefc",)),
-    "efc_J_rownnz": (_I, ("nefc",)),
-    "efc_J_rowadr": (_I, ("nefc",)),
-    "efc_J_colind": (_I, ("nJ",)),
-    "efc_J": (_F, ("nJ",)),
-    "efc_frictionloss": (_F, ("nefc",)),
-    "efc_D": (_F, ("nefc",)),
-    "efc_aref": (_F, ("nefc",)),
-    # Absent without the effective metric; `efm_diag` and `efm_ca` may be absent with it.
-    "efm_diag": (_F, ("nv",)),
-    "efm_c": (_F, ("nv",)),
-    "efm_ca": (_F, ("nv",)),
-}
-
 _VIEWS = Views(
     "Workspace",
     {**dict.fromkeys(_INTEGERS, _L), **dict.fromkeys(_REALS, _F)},
@@ -191,7 +184,8 @@ def make_workspace(
     }
     own["dofs"][:] = np.arange(model.nv)
     own["lone_dofs"][:] = lone
-    own["offsets"][:] = constraint_rows()
+    check_layout("mjData")
+    own["offsets"][:] = [offset_of("mjData", name) for name in _OFFSETS]
     arrays = own | {name: getattr(model, name) for name in _OF_MODEL}
     arrays |= {name: getattr(data, name) for name in _OF_DATA}
     for name, number in numbers.items():

@@ -8,10 +8,9 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-from mjgranular.errors import InputError
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.vector import norm, transposed, vector
-from mjgranular.shape.sizes import check_size, geom_name, geom_width, half_extents
+from mjgranular.shape.sizes import check_size, geom_axes, geom_width, half_extents, type_error
 
 BLOB_DTYPE = np.dtype(
     [
@@ -48,13 +47,11 @@ def blobs_from_model(model: mujoco.MjModel, geoms: Sequence[int]) -> np.ndarray:
     ordered = sorted(geoms, key=lambda g: (int(model.geom_bodyid[g]), g))
     for blob, geom in zip(blobs, ordered, strict=True):
         body = int(model.geom_bodyid[geom])
-        rotation = np.zeros(9)
-        mujoco.mju_quat2Mat(rotation, model.geom_quat[geom])
         blob["geom"] = geom
         blob["body"] = body
         blob["slot"] = slots.setdefault(body, len(slots))
         blob["center"] = model.geom_pos[geom]
-        blob["axes"] = rotation
+        blob["axes"] = geom_axes(model, geom).ravel()
         blob["width"] = geom_width(model, geom)
         _set_support(model, geom, blob)
     return blobs
@@ -78,11 +75,7 @@ def _set_support(model: mujoco.MjModel, geom: int, blob: np.void) -> None:
             rotation = blob["axes"].reshape(3, 3)
             blob["center"] += rotation @ model.geom_aabb[geom, :3]
     else:
-        word = kind.name.removeprefix("mjGEOM_").lower()
-        raise InputError(
-            f"geom {geom_name(model, geom)} is a {word}: sand acts on capsules, spheres, "
-            "cylinders, ellipsoids, boxes and meshes"
-        )
+        raise type_error(model, geom)
 
 
 @compiled

@@ -8,7 +8,6 @@ from typing import Literal
 import mujoco
 import numpy as np
 
-from mjgranular.errors import InputError
 from mjgranular.shape import patches, tessellation
 from mjgranular.shape.budget import resolutions
 from mjgranular.shape.meshes import mesh_corners
@@ -17,9 +16,10 @@ from mjgranular.shape.sizes import (
     check_count,
     check_resolution,
     check_size,
-    geom_name,
+    geom_axes,
     geom_width,
     half_extents,
+    type_error,
 )
 from mjgranular.shape.tessellation import Cells
 
@@ -127,9 +127,7 @@ def facets_from_model(
         parts.append(part)
         if not len(part):
             continue
-        rotation = np.zeros(9)
-        mujoco.mju_quat2Mat(rotation, model.geom_quat[geom])
-        rotation = rotation.reshape(3, 3)
+        rotation = geom_axes(model, geom)
         body = int(model.geom_bodyid[geom])
         part["geom"] = geom
         part["body"] = body
@@ -225,7 +223,6 @@ def _inside(model: mujoco.MjModel, geom: int, points: np.ndarray) -> np.ndarray:
 
 
 def _skin(model: mujoco.MjModel, geom: int, resolution: int) -> Cells:
-    kind = int(model.geom_type[geom])
     shapes = {
         _GEOM.mjGEOM_SPHERE: lambda s: tessellation.ellipsoid((s[0], s[0], s[0]), resolution),
         _GEOM.mjGEOM_ELLIPSOID: lambda s: tessellation.ellipsoid((s[0], s[1], s[2]), resolution),
@@ -233,12 +230,8 @@ def _skin(model: mujoco.MjModel, geom: int, resolution: int) -> Cells:
         _GEOM.mjGEOM_CYLINDER: lambda s: tessellation.cylinder(s[0], s[1], resolution),
         _GEOM.mjGEOM_BOX: lambda s: tessellation.box((s[0], s[1], s[2]), resolution),
     }
-    shape = shapes.get(_GEOM(kind))
+    shape = shapes.get(_GEOM(int(model.geom_type[geom])))
     if shape is None:
-        word = _GEOM(kind).name.removeprefix("mjGEOM_").lower()
-        raise InputError(
-            f"geom {geom_name(model, geom)} is a {word}: sand acts on capsules, spheres, "
-            "cylinders, ellipsoids, boxes and meshes"
-        )
+        raise type_error(model, geom)
     check_size(model, geom)
     return shape(model.geom_size[geom])

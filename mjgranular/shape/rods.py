@@ -8,7 +8,14 @@ import mujoco
 import numpy as np
 
 from mjgranular.errors import InputError
-from mjgranular.shape.sizes import check_count, check_resolution, check_size, geom_name
+from mjgranular.shape.sizes import (
+    check_count,
+    check_resolution,
+    check_size,
+    geom_axes,
+    geom_name,
+    geom_type,
+)
 
 CHOOSE = "choose them with geoms=[...] or bodies=[...]"
 """Advice for Python, which the command line replaces by its own."""
@@ -54,21 +61,18 @@ def rods_from_model(model: mujoco.MjModel, geoms: Sequence[int]) -> np.ndarray:
     for rod, geom in zip(rods, geoms, strict=True):
         kind = int(model.geom_type[geom])
         if kind not in (_CAPSULE, _CYLINDER):
-            shape = mujoco.mjtGeom(kind).name.removeprefix("mjGEOM_").lower()
             raise InputError(
-                f"geom {geom_name(model, geom)} is a {shape}: the link law acts on slender bodies, "
-                f"capsules and cylinders; {CHOOSE}"
+                f"geom {geom_name(model, geom)} is a {geom_type(model, geom)}: the link law acts "
+                f"on slender bodies, capsules and cylinders; {CHOOSE}"
             )
         check_size(model, geom)
         radius, half = model.geom_size[geom][:2]
-        rotation = np.zeros(9)
-        mujoco.mju_quat2Mat(rotation, model.geom_quat[geom])
         body = int(model.geom_bodyid[geom])
         rod["geom"] = geom
         rod["body"] = body
         rod["slot"] = slots.setdefault(body, len(slots))
         rod["center"] = model.geom_pos[geom]
-        rod["axis"] = rotation.reshape(3, 3)[:, 2]
+        rod["axis"] = geom_axes(model, geom)[:, 2]
         rod["half_length"] = half + (radius if kind == _CAPSULE else 0.0)
         rod["width"] = 2 * radius
     return rods

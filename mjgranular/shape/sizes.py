@@ -29,6 +29,18 @@ def geom_name(model: mujoco.MjModel, geom: int) -> str:
     return repr(name) if name else f"number {geom}"
 
 
+def geom_type(model: mujoco.MjModel, geom: int) -> str:
+    """Return the type of a geom in a word."""
+    return _GEOM(int(model.geom_type[geom])).name.removeprefix("mjGEOM_").lower()
+
+
+def geom_axes(model: mujoco.MjModel, geom: int) -> np.ndarray:
+    """Return the axes of a geom in the frame of its body, in columns, shape (3, 3)."""
+    rotation = np.zeros(9)
+    mujoco.mju_quat2Mat(rotation, model.geom_quat[geom])
+    return rotation.reshape(3, 3)
+
+
 def geom_width(model: mujoco.MjModel, geom: int) -> float:
     """Return the width of a geom: its second largest extent [m], such as a rod's diameter."""
     return float(np.sort(2 * half_extents(model, geom))[1])
@@ -57,6 +69,14 @@ def check_size(model: mujoco.MjModel, geom: int, *, flat: bool = False) -> None:
     if not (half > 0).all():
         raise InputError(f"geom {geom_name(model, geom)} has a size of zero: it needs a volume")
     check_extents(f"geom {geom_name(model, geom)}", half)
+
+
+def type_error(model: mujoco.MjModel, geom: int) -> InputError:
+    """Return the error for a geom of a type that sand does not act on."""
+    return InputError(
+        f"geom {geom_name(model, geom)} is a {geom_type(model, geom)}: sand acts on capsules, "
+        "spheres, cylinders, ellipsoids, boxes and meshes"
+    )
 
 
 def check_extents(what: str, half: Sequence[float] | np.ndarray) -> None:

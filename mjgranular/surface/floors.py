@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-from mjgranular.shape.sizes import geom_name
+from mjgranular.shape.sizes import geom_name, geom_type
 from mjgranular.surface.plane import Plane
 from mjgranular.surface.surface import Surface
 
@@ -102,7 +102,7 @@ class FloorWatch:
 
 def describe_floors(model: mujoco.MjModel, floors: Sequence[int], does: str) -> str:
     """Describe the geoms that carry the model: `does` is a verb with its object."""
-    named = [f"{geom_name(model, geom)} (a {_kind(model, geom)})" for geom in floors]
+    named = [f"{geom_name(model, geom)} (a {geom_type(model, geom)})" for geom in floors]
     if len(named) > _TOLD:
         named[_TOLD:] = [f"{len(named) - _TOLD} more"]
     what = "geoms" if len(floors) > 1 else "geom"
@@ -111,11 +111,6 @@ def describe_floors(model: mujoco.MjModel, floors: Sequence[int], does: str) -> 
 
 WOULD_CARRY = "would carry it at or above the sand's surface"
 CARRIES = "carries it beside or beneath the sand, which bears the rest"
-
-
-def _kind(model: mujoco.MjModel, geom: int) -> str:
-    kind = mujoco.mjtGeom(int(model.geom_type[geom]))
-    return kind.name.removeprefix("mjGEOM_").lower()
 
 
 def _is_fixed(model: mujoco.MjModel, geom: int) -> bool:

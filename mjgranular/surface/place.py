@@ -8,6 +8,7 @@ import numpy as np
 from mjgranular._util.names import name_of
 from mjgranular.errors import InputError, UnknownNameError, shown
 from mjgranular.shape.select import Choice, find_all
+from mjgranular.shape.sizes import geom_type
 
 
 def find_geom(model: mujoco.MjModel, name: str, kind: mujoco.mjtGeom, word: str) -> int:
@@ -24,7 +25,7 @@ def find_geom(model: mujoco.MjModel, name: str, kind: mujoco.mjtGeom, word: str)
         known = [name_of(model, "geom", int(g)) for g in same]
         raise UnknownNameError(f"{shape} geom of the model", name, [k for k in known if k])
     if model.geom_type[geom] != kind:
-        found = mujoco.mjtGeom(int(model.geom_type[geom])).name.removeprefix("mjGEOM_").lower()
+        found = geom_type(model, geom)
         raise InputError(f"geom {name!r} is a {found}: a {word} is made of a {shape} geom")
     _disable_contacts(model, [geom], f"a {word}")
     return geom

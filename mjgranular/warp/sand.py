@@ -19,8 +19,7 @@ from mjgranular.relief.footprint import fitting
 from mjgranular.relief.heights import Heights
 from mjgranular.relief.memory import as_memory
 from mjgranular.relief.relief import Relief, place_in_plane
-from mjgranular.sand.chosen import choose_sand
-from mjgranular.sand.remembering import kernel_under, remembering
+from mjgranular.sand.chosen import choose_sand, kernel_under, remembering
 from mjgranular.sand.spec import SandFields, SandSpec, combined
 from mjgranular.scheme import Auto, Implicit, get_scheme
 from mjgranular.warp.constraints import Constraints
