@@ -88,12 +88,31 @@ class Robot(Task):
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Legged(Robot):
-    """Hopper and Walker2d."""
+class Standing(Robot):
+    """A robot that is rewarded while it is healthy; its episode may end when it is not."""
 
     ctrl_cost_weight: float = 1e-3
     healthy_reward: float = 1.0
     terminate_when_unhealthy: bool = True
+
+    def healthy(self, state: State) -> np.ndarray:
+        """Return True if the robot stands, or is at its height, shape (n,)."""
+        raise NotImplementedError
+
+    def stands(self, state: State) -> np.ndarray:
+        """Return `healthy`, computed once."""
+        return self.once(state, "healthy", self.healthy)
+
+    def terminated(self, state: State) -> np.ndarray:
+        if not self.terminate_when_unhealthy:
+            return np.zeros(len(state.qpos), bool)
+        return ~self.stands(state)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Legged(Standing):
+    """Hopper and Walker2d."""
+
     healthy_z_range: tuple[float, float] = (0.7, math.inf)
     healthy_angle_range: tuple[float, float] = (-0.2, 0.2)
     frame_skip: int = 4
@@ -103,7 +122,6 @@ class _Legged(Robot):
         return np.concatenate((self.seen(state.qpos), velocity), axis=1)
 
     def healthy(self, state: State) -> np.ndarray:
-        """Return True if the robot stands, shape (n,)."""
         z, angle = state.qpos[:, 1], state.qpos[:, 2]
         low, high = self.healthy_z_range
         left, right = self.healthy_angle_range
@@ -115,15 +133,6 @@ class _Legged(Robot):
             "reward_survive": self.stands(state) * self.healthy_reward,
             "reward_ctrl": -(self.ctrl_cost_weight * np.square(action).sum(axis=1)),
         }
-
-    def stands(self, state: State) -> np.ndarray:
-        """Return `healthy`, computed once."""
-        return self.once(state, "healthy", self.healthy)
-
-    def terminated(self, state: State) -> np.ndarray:
-        if not self.terminate_when_unhealthy:
-            return np.zeros(len(state.qpos), bool)
-        return ~self.stands(state)
 
     def place(self, state: State) -> dict[str, np.ndarray]:
         return {

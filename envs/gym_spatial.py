@@ -11,20 +11,18 @@ from typing import Any, ClassVar
 import mujoco
 import numpy as np
 
-from mjgranular.envs.gym_planar import Robot, place_in_plane
+from mjgranular.envs.gym_planar import Standing, place_in_plane
 from mjgranular.envs.task import State
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Spatial(Robot):
+class _Spatial(Standing):
     """Base of Ant and Humanoid: free in space, with the same terms of reward and cost."""
 
     hidden: ClassVar[int] = 2
 
     ctrl_cost_weight: float = 0.5
     contact_cost_weight: float = 5e-4
-    healthy_reward: float = 1.0
-    terminate_when_unhealthy: bool = True
     include_cfrc_ext_in_observation: bool = True
     frame_skip: int = 5
 
@@ -44,22 +42,9 @@ class _Spatial(Robot):
         reach = (-0.6, 0.0, 0.6)  # [m]; chosen: the robots are about a meter across
         qpos[2] += max(height(float(qpos[0]) + x, float(qpos[1]) + y) for x in reach for y in reach)
 
-    def healthy(self, state: State) -> np.ndarray:
-        """Return True if the robot is at its height, shape (n,)."""
-        raise NotImplementedError
-
     def total(self, terms: dict[str, np.ndarray]) -> np.ndarray:
         costs = terms["reward_ctrl"] + terms["reward_contact"]
         return terms["reward_forward"] + terms["reward_survive"] + costs
-
-    def stands(self, state: State) -> np.ndarray:
-        """Return `healthy`, computed once."""
-        return self.once(state, "healthy", self.healthy)
-
-    def terminated(self, state: State) -> np.ndarray:
-        if not self.terminate_when_unhealthy:
-            return np.zeros(len(state.qpos), bool)
-        return ~self.stands(state)
 
     def where(self, state: State) -> np.ndarray:
         """Return the position whose speed is rewarded, shape (n, 2)."""

@@ -12,13 +12,12 @@ import numpy as np
 
 from mjgranular._util.checks import is_finite
 from mjgranular.errors import InputError
-from mjgranular.models.link import Link, model_path
+from mjgranular.models.link import PAPER_LENGTH, Link, model_path, scale_scenery
 from mjgranular.sand.material import LAW_TEXT
 
 Base = Literal["free", "hinge", "slide", "level"]
 Actuators = Literal["none", "motor", "position"]
 
-_SCENERY_LENGTH = 0.2  # length of the link that the scenery of link.xml is made for [m]
 _LEAN = math.pi / 4  # angle of the initial pose, as in link.xml [rad]
 _SPEED = 1.0  # initial speed of a free chain, down [m/s]
 _ACROSS, _ALONG = (0.0, -1.0, 0.0), (1.0, 0.0, 0.0)  # axes of q (as in link.xml) and of p
@@ -294,11 +293,7 @@ class Chain:
                         actuator.ctrlrange = [-self.torque, self.torque]
 
     def _set_scenery(self, spec: mujoco.MjSpec) -> None:
-        scale = self.reach / _SCENERY_LENGTH
-        for name in ("bed", "table"):
-            geom = spec.geom(name)
-            geom.pos = geom.pos * scale
-            geom.size = geom.size * scale
+        scale_scenery(spec, self.reach / PAPER_LENGTH)
         # A cut along the plane of motion, as in link.xml; a spatial chain has none.
         bed, gap = spec.geom("bed"), 0.55 * self.diameter
         back = bed.pos[1] + bed.size[1]
@@ -309,10 +304,7 @@ class Chain:
         if self.base == "level":  # a cut there too: the chain lies on it
             spec.geom("table").pos[2] += self.base_height - gap
             bed.pos[2] += self.base_height - gap
-        sand = spec.material("sand")
-        sand.texrepeat = sand.texrepeat / scale
         for camera in spec.cameras:
-            camera.pos = camera.pos * scale
             if self.base == "level":  # the first link's C is at the origin, the others behind
                 camera.pos[0] -= self.reach / 2
             elif self.base != "free":

@@ -9,7 +9,7 @@ import numpy as np
 
 from mjgranular._util.checks import is_finite
 from mjgranular.errors import InputError
-from mjgranular.models.link import robot_scene
+from mjgranular.models.link import add_servo, robot_scene
 
 LEGS = ("front_left", "middle_left", "rear_left", "front_right", "middle_right", "rear_right")
 """Names of the legs, in the order of their joints and servos."""
@@ -145,11 +145,4 @@ class Hexapod:
                     contype=0,
                     conaffinity=1,
                 )
-            servo = spec.add_actuator(
-                name=f"{leg}_{name}",
-                target=f"{leg}_{name}",
-                trntype=mujoco.mjtTrn.mjTRN_JOINT,
-            )
-            servo.set_to_position(kp=self.stiffness)
-            servo.ctrllimited, servo.ctrlrange = True, [-limit, limit]
-            servo.forcelimited, servo.forcerange = True, [-self.torque, self.torque]
+            add_servo(spec, f"{leg}_{name}", self.stiffness, limit, self.torque)

@@ -14,7 +14,9 @@ from mjgranular._util.checks import is_finite
 from mjgranular.errors import InputError, UnknownNameError
 
 _FOLDER = Path(__file__).resolve().parent
-_PAPER_LENGTH = 0.2  # length of the link in link.xml [m]; scenery is scaled with the length
+
+PAPER_LENGTH = 0.2
+"""Length of the link in link.xml [m]; scenery is scaled with the length."""
 
 
 def model_path(name: str) -> Path:
@@ -79,18 +81,11 @@ class Link:
         spec.geom("link").size[:2] = radius, self.length / 2 - radius
         spec.site("T").pos[2] = -self.length / 2
 
-        scale = self.reach / _PAPER_LENGTH
-        for name in ("bed", "table"):
-            geom = spec.geom(name)
-            geom.pos = geom.pos * scale
-            geom.size = geom.size * scale
+        scale = self.reach / PAPER_LENGTH
+        scale_scenery(spec, scale)
         bed, gap = spec.geom("bed"), radius * 1.1  # the bed begins just behind the link
         back = bed.pos[1] + bed.size[1]
         bed.size[1], bed.pos[1] = (back - gap) / 2, (back + gap) / 2
-        sand = spec.material("sand")
-        sand.texrepeat = sand.texrepeat / scale
-        for camera in spec.cameras:
-            camera.pos = camera.pos * scale
         spec.visual.map.znear *= min(1.0, scale)
         spec.key("impact").qpos = self.touching(math.pi / 4).tolist()
         return spec
@@ -155,6 +150,28 @@ def offset(point: tuple[float, float], q: float) -> tuple[float, float]:
     """Return the vector from C to a point of the body at an angle q about -y, x and z [m]."""
     s, c = math.sin(q), math.cos(q)
     return point[0] * c - point[1] * s, point[0] * s + point[1] * c
+
+
+def scale_scenery(spec: mujoco.MjSpec, scale: float) -> None:
+    """Scale the bed, the table, the grains and the places of cameras of link.xml."""
+    for name in ("bed", "table"):
+        geom = spec.geom(name)
+        geom.pos = geom.pos * scale
+        geom.size = geom.size * scale
+    sand = spec.material("sand")
+    sand.texrepeat = sand.texrepeat / scale
+    for camera in spec.cameras:
+        camera.pos = camera.pos * scale
+
+
+def add_servo(
+    spec: mujoco.MjSpec, joint: str, stiffness: float, bend: float, torque: float
+) -> None:
+    """Add a position servo of a joint: gain [N m/rad], largest angle [rad], torque limit [N m]."""
+    servo = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    servo.set_to_position(kp=stiffness)
+    servo.ctrllimited, servo.ctrlrange = True, [-bend, bend]
+    servo.forcelimited, servo.forcerange = True, [-torque, torque]
 
 
 def robot_scene(name: str, timestep: float) -> mujoco.MjSpec:

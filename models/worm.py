@@ -12,6 +12,7 @@ import numpy as np
 from mjgranular._util.checks import is_finite
 from mjgranular.errors import InputError
 from mjgranular.models.chain import Chain
+from mjgranular.models.link import add_servo
 
 Posture = Literal["level", "upright"]
 
@@ -148,12 +149,7 @@ class Worm:
         for index in range(self.root + 1, self.count):
             parent = self._add_link(parent, index, ahead=False)
         for index in range(1, self.count):
-            servo = spec.add_actuator(
-                name=f"q{index}", target=f"q{index}", trntype=mujoco.mjtTrn.mjTRN_JOINT
-            )
-            servo.set_to_position(kp=self.stiffness)
-            servo.ctrllimited, servo.ctrlrange = True, [-self.bend, self.bend]
-            servo.forcelimited, servo.forcerange = True, [-self.torque, self.torque]
+            add_servo(spec, f"q{index}", self.stiffness, self.bend, self.torque)
         return spec
 
     def straight(self) -> np.ndarray:

@@ -110,7 +110,7 @@ def _measured(
     grain: float,
     surface_friction: Quantity,
 ) -> Medium:
-    """Make a medium of Li, Zhang and Goldman 2013.
+    """Register a medium of Li, Zhang and Goldman 2013.
 
     Args:
         name: its name.
@@ -130,7 +130,7 @@ def _measured(
     )
     mu = math.tan(math.radians(repose))
     generic = LEVEL_PLATE * bulk.value * 9.81 * float(FRICTION_CUBIC(mu))
-    return Medium(
+    medium = Medium(
         name=name,
         title=title,
         density=bulk,
@@ -153,83 +153,74 @@ def _measured(
             },
         },
     )
+    return register_medium(medium)
 
 
 _ON_POPPY = Quantity(0.4, "", f"{_LI} S1: aluminum on poppy seeds")
 
-poppy_seed_loose = register_medium(
-    _measured(
-        "poppy_seed_loose",
-        "Poppy seed, loosely packed",
-        density=(1100.0, 0.58),
-        repose=36.0,
-        plate=0.351,
-        fourier=(0.051, 0.047, 0.053, 0.083, 0.020, -0.026, 0.057, 0.000, 0.025),
-        grain=0.0007,
-        surface_friction=_ON_POPPY,
-    )
+poppy_seed_loose = _measured(
+    "poppy_seed_loose",
+    "Poppy seed, loosely packed",
+    density=(1100.0, 0.58),
+    repose=36.0,
+    plate=0.351,
+    fourier=(0.051, 0.047, 0.053, 0.083, 0.020, -0.026, 0.057, 0.000, 0.025),
+    grain=0.0007,
+    surface_friction=_ON_POPPY,
 )
 
-poppy_seed_close = register_medium(
-    _measured(
-        "poppy_seed_close",
-        "Poppy seed, closely packed",
-        density=(1100.0, 0.62),
-        repose=47.0,
-        plate=0.558,
-        fourier=(0.094, 0.092, 0.092, 0.151, 0.035, -0.039, 0.086, 0.018, 0.046),
-        grain=0.0007,
-        surface_friction=_ON_POPPY,
-    )
+poppy_seed_close = _measured(
+    "poppy_seed_close",
+    "Poppy seed, closely packed",
+    density=(1100.0, 0.62),
+    repose=47.0,
+    plate=0.558,
+    fourier=(0.094, 0.092, 0.092, 0.151, 0.035, -0.039, 0.086, 0.018, 0.046),
+    grain=0.0007,
+    surface_friction=_ON_POPPY,
 )
 
 _ON_GLASS = Quantity(0.4, "", _CHOSEN)
 # Density of grains: the table gives 2500 to 2600 for both sizes of beads; this is the mean.
 _GLASS = 2550.0
 
-glass_beads_loose = register_medium(
-    _measured(
-        "glass_beads_loose",
-        "Glass beads of 0.3 mm, loosely packed",
-        density=(_GLASS, 0.58),
-        repose=25.0,
-        plate=0.24,
-        fourier=(0.040, 0.030, 0.045, 0.077, 0.000, -0.031, 0.066, 0.000, 0.017),
-        grain=0.00027,
-        surface_friction=_ON_GLASS,
-    )
+glass_beads_loose = _measured(
+    "glass_beads_loose",
+    "Glass beads of 0.3 mm, loosely packed",
+    density=(_GLASS, 0.58),
+    repose=25.0,
+    plate=0.24,
+    fourier=(0.040, 0.030, 0.045, 0.077, 0.000, -0.031, 0.066, 0.000, 0.017),
+    grain=0.00027,
+    surface_friction=_ON_GLASS,
 )
 
-glass_beads_close = register_medium(
-    _measured(
-        "glass_beads_close",
-        "Glass beads of 0.3 mm, closely packed",
-        density=(_GLASS, 0.62),
-        repose=35.0,
-        plate=0.40,
-        fourier=(0.081, 0.063, 0.078, 0.133, 0.024, -0.050, 0.087, 0.000, 0.033),
-        grain=0.00027,
-        surface_friction=_ON_GLASS,
-    )
+glass_beads_close = _measured(
+    "glass_beads_close",
+    "Glass beads of 0.3 mm, closely packed",
+    density=(_GLASS, 0.62),
+    repose=35.0,
+    plate=0.40,
+    fourier=(0.081, 0.063, 0.078, 0.133, 0.024, -0.050, 0.087, 0.000, 0.033),
+    grain=0.00027,
+    surface_friction=_ON_GLASS,
 )
 
-glass_beads_3mm_close = register_medium(
-    _measured(
-        "glass_beads_3mm_close",
-        "Glass beads of 3 mm, closely packed",
-        density=(_GLASS, 0.63),
-        repose=21.0,
-        plate=0.29,
-        fourier=(0.045, 0.031, 0.046, 0.084, 0.012, -0.031, 0.060, 0.000, 0.015),
-        grain=0.0032,
-        surface_friction=_ON_GLASS,
-    )
+glass_beads_3mm_close = _measured(
+    "glass_beads_3mm_close",
+    "Glass beads of 3 mm, closely packed",
+    density=(_GLASS, 0.63),
+    repose=21.0,
+    plate=0.29,
+    fourier=(0.045, 0.031, 0.046, 0.084, 0.012, -0.031, 0.060, 0.000, 0.015),
+    grain=0.0032,
+    surface_friction=_ON_GLASS,
 )
 
 
 def _natural(name: str, title: str, plate: float) -> Medium:
-    """Make a medium from one measurement: a level plate pushed down [N/cm^3]."""
-    return Medium(
+    """Register a medium by one measurement: a level plate pushed down [N/cm^3]."""
+    medium = Medium(
         name=name,
         title=title,
         density=Quantity(1550.0, "kg/m^3", f"{_CHOSEN}: that of quikrete_medium"),
@@ -241,9 +232,8 @@ def _natural(name: str, title: str, plate: float) -> Medium:
             }
         },
     )
+    return register_medium(medium)
 
 
-yuma_sand = register_medium(_natural("yuma_sand", "Sand of Yuma", 0.691))
-twentynine_palms_sand = register_medium(
-    _natural("twentynine_palms_sand", "Sand of 29 Palms", 0.888)
-)
+yuma_sand = _natural("yuma_sand", "Sand of Yuma", 0.691)
+twentynine_palms_sand = _natural("twentynine_palms_sand", "Sand of 29 Palms", 0.888)
