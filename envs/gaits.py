@@ -124,12 +124,7 @@ class Tripod(Gait):
 
 @dataclass(frozen=True)
 class Release(Gait):
-    """A drop without spin, at an angle.
-
-    Attributes:
-        angle: the first action.
-        spin: the second.
-    """
+    """A drop without spin, at an angle: the two actions are `angle` and `spin`."""
 
     bounds: ClassVar[dict[str, tuple[float, float]]] = {"angle": (-1.0, 1.0), "spin": (-1.0, 1.0)}
 

@@ -127,14 +127,9 @@ _OF_MUJOCO = tuple(inspect.signature(MujocoEnv).parameters)  # what a class pass
 
 
 class OnSand(MujocoEnv):
-    """Sand for a Gymnasium environment.
+    """Sand for a Gymnasium environment; `sand` has the arguments of `on_sand` for it.
 
-    Args:
-        sand: the arguments of `on_sand` for the sand.
-        **options: options of the environment.
-
-    Attributes:
-        sands: sands in the model, in the order of their instances.
+    `sands` are those in the model, in the order of their instances.
     """
 
     environment: str | type

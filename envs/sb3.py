@@ -114,10 +114,7 @@ class SandVecEnv(VecEnv):
         """Call a method of the batch, and return its result once for each simulation.
 
         `reset` begins episodes of the requested simulations, and returns observation and `info` of
-        each.
-
-        Raises:
-            InputError: another method, and `indices` are not all simulations.
+        each; another method needs `indices` to be all simulations.
         """
         if method_name == "reset":
             return self._reset_some(list(self._get_indices(indices)), *args, **kwargs)

@@ -130,13 +130,7 @@ class UnknownNameError(GranularError, KeyError):
 
 
 class UnknownArgumentError(GranularError, TypeError):
-    """An unknown keyword argument; the message lists the valid ones.
-
-    Args:
-        call: name of the called function.
-        name: the given argument.
-        known: the valid arguments.
-    """
+    """An unknown keyword argument of a `call`; the message lists the valid ones."""
 
     def __init__(self, call: str, name: str, known: Iterable[str]) -> None:
         self.call, self.name, self.known = call, name, tuple(known)

@@ -215,11 +215,8 @@ def remove_leftovers(folder: Path, names: Sequence[str] | None = None) -> None:
 def locked(folder: Path, name: str = LOCK) -> Iterator[None]:
     """Keep other processes out of a folder, which is made if it does not exist.
 
-    Lock before reading what is to be changed, not only before writing. A file system without locks
-    gives a warning.
-
-    Raises:
-        OutputError: another process is using the folder, or it cannot be written to.
+    Lock before reading what is to be changed, not only before writing. A folder in use, or one that
+    cannot be written to, is an error; a file system without locks gives a warning.
     """
     file = folder / name
     try:

@@ -139,8 +139,7 @@ class Material:
     def has_start(self, name: str) -> bool:
         """Return True if a fit can start from the current value: not from a default on a bound.
 
-        Raises:
-            InputError: a given value lies on a bound.
+        A given value that lies on a bound is an error.
         """
         value, (low, high) = self.value(name), self.bounds(name)
         if low < value < high and value != 0:

@@ -25,11 +25,8 @@ assert tuple(MEASURES) == ("force", "moment", "depth", "power", "speed", "touch"
 class SandReadings:
     """Read the last step's results of each sand for all bodies together, into one array.
 
-    The numbers are in the order of `mjgranular.sensor`: `COUNT` for each sand.
-
-    Attributes:
-        values: the array, shape (1, n).
-        together: index of the first number of each sand.
+    `values` has `COUNT` numbers for each sand, in the order of `mjgranular.sensor`, shape (1, n);
+    `together` has the index of the first number of each.
     """
 
     def __init__(self, model: mujoco.MjModel, sands: tuple[str, ...]) -> None:

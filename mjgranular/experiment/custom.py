@@ -38,11 +38,7 @@ class Custom:
 
     @classmethod
     def of(cls, study: Study) -> Custom:
-        """Return what a study uses.
-
-        Raises:
-            InputError: a law is defined where workers cannot import it.
-        """
+        """Return what a study uses; a law defined where workers cannot import it is an error."""
         names = {text.partition(" density=")[0] for text in _words(study, "medium")}
         used = {name: get_medium(name) for name in sorted(names)}
         others = {name: one for name, one in used.items() if _SHIPPED.get(name) is not one}

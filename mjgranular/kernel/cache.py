@@ -47,11 +47,7 @@ _reported: set[Path] = set()
 
 
 def load(build: str, name: str, make: Callable[[], T]) -> T | None:
-    """Have numba load a program.
-
-    Returns:
-        The result of `make`; None if no complete program of that name is cached.
-    """
+    """Have numba load a program by `make`, and return it; None if no complete one is cached."""
     for root in _folders_to_read():
         folder = root / build / name
         if _is_complete(folder):
@@ -61,11 +57,7 @@ def load(build: str, name: str, make: Callable[[], T]) -> T | None:
 
 
 def save(build: str, name: str, make: Callable[[], T]) -> T | None:
-    """Have numba compile a program, and cache it; the arguments are those of `load`.
-
-    Returns:
-        The result of `make`; None if nothing can be cached.
-    """
+    """Have numba compile and cache a program by `make`, and return it; None if it cannot cache."""
     for root in _folders_to_write():
         try:
             _remove_old(root, build)

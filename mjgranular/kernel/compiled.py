@@ -52,17 +52,14 @@ def _type_of(kernel: Kernel, context: Any) -> Any:
 
 
 def compiled(function: Callable[..., Any], *, inline: bool = False) -> Kernel:
-    """Compile `function` in nopython mode at first use: a kernel.
+    """Compile `function` in nopython mode at first use: a kernel, called like `function`.
 
-    Args:
-        function: scalar arithmetic and loops over arrays, without Python objects, exceptions or new
-            arrays. It may be made by a factory, with other kernels in its closure.
-        inline: inline it where it is called. For small functions in loops over elements, and for
-            those that pass on many numbers; more of it costs compile time.
+    It may have scalar arithmetic and loops over arrays, without Python objects, exceptions or new
+    arrays, and may be made by a factory, with other kernels in its closure. Only whole programs are
+    cached on disk (`entry`, `program_address`).
 
-    Returns:
-        The kernel, called like `function`. Only whole programs are cached on disk (`entry`,
-            `program_address`).
+    `inline` is for small functions in loops over elements, and for those that pass on many numbers;
+    more of it costs compile time.
     """
     made_of = names_in_closure(function)
     # numba names machine code by this and by a counter that starts over in every process: without

@@ -34,11 +34,7 @@ RATIO = 0.219
 
 
 def lateral_strength(friction: float) -> float:
-    """Return R/0.219 of (S2).
-
-    Args:
-        friction: coefficient of internal friction, tan phi.
-    """
+    """Return R/0.219 of (S2), for a coefficient of internal friction, tan phi."""
     phi = math.atan(friction)
     return (1.0 - math.sin(phi)) * math.exp(-(math.pi / 2 - phi) * friction) / RATIO
 

@@ -210,26 +210,16 @@ def get_law(law: str | Law | type[Law] | None, medium: Medium) -> Law:
 
 
 def law_in(text: str) -> tuple[type[Law], dict[str, Any]]:
-    """Parse the name of a law and the parameters after it.
-
-    Raises:
-        UnknownNameError: no such law; lists the existing ones.
-        InputError: a parameter that the law does not have, or a value of a wrong type.
-    """
+    """Parse the name of a law and the parameters after it, each one of a field of that law."""
     if not isinstance(text, str) or not text.strip():
         return laws[text], {}  # raises with a list of names
     return read_part(text, laws, "law")
 
 
 def check_constants(medium: Medium) -> None:
-    """Check a medium's constants against the fields of the laws they are for.
+    """Check names, number and values of a medium's constants against the laws they are for.
 
     A law that is unknown, and whose name resembles none, may be a custom one.
-
-    Raises:
-        UnknownNameError: a law's name is misspelled.
-        InputError: a constant that the law does not have, one that it needs is missing, or a value
-            outside its range.
     """
     for name in medium.constants:
         if name in laws:

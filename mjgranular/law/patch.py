@@ -36,16 +36,9 @@ def leading_part(c, a, b):
     to 1, of a total width of 2: the share is y/2, and the centroid follows from the means of the
     width and of its square. A corner is a triangle, with its centroid at a third of its legs.
 
-    With the depths for c, a and b it is the immersed part.
-
-    Args:
-        c: normal velocity at the facet's middle, v.n; in any unit.
-        a: its rise along the first half edge, v.spread[0] + n.(w x edges[0]) for a facet that turns
-            with w.
-        b: its rise along the second.
-
-    Returns:
-        The share, 0 to 1, and s and t of the centroid, both 0 if the share is 0 or 1.
+    With the depths for c, a and b it is the immersed part. Else c is the normal velocity v.n at the
+    facet's middle, and a its rise along the first half edge, v.spread[0] + n.(w x edges[0]) for a
+    facet that turns with w. The centroid, s and t, is 0 if the share is 0 or 1.
     """
     reach = abs(a) + abs(b)
     if c <= -reach:

@@ -42,24 +42,15 @@ _NO_STRESS = 1e-9  # stress that counts as zero [Pa]; chosen
 
 
 def cone_under(friction: float) -> float:
-    """Return the mean depth of the cone of stagnant sand below a flat face, in its widths.
-
-    Args:
-        friction: coefficient of internal friction.
-    """
+    """Return the mean depth of the cone of stagnant sand below a flat face, in its widths."""
     return math.tan(math.pi / 4 + math.atan(friction) / 2) / 6
 
 
 def shear_constants(density: float, grain: float, friction: float, rate: float) -> np.ndarray:
     """Return what the kernel reads: d sqrt(rho_s) [kg^(1/2) m^(-1/2)], and three factors.
 
-    xi_n(mu + s rate) / xi_n(mu) = 1 + s (a + s (b + s c)) with s = I / (I + I_0).
-
-    Args:
-        density: density of the bed [kg/m^3].
-        grain: diameter of a grain [m].
-        friction: mu.
-        rate: rise of friction from slow flow to fast.
+    xi_n(mu + s rate) / xi_n(mu) = 1 + s (a + s (b + s c)) with s = I / (I + I_0). The density of
+    the bed is in [kg/m^3], the diameter of a grain in [m], `friction` is mu.
     """
     whole = FRICTION_CUBIC(friction)
     if not (rate > 0 and whole > 0):

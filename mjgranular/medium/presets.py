@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import csv
 import math
+from pathlib import Path
 
 from mjgranular.medium.known import register_medium
 from mjgranular.medium.medium import Medium, Quantity
@@ -95,56 +97,47 @@ glass_beads = register_medium(
     )
 )
 
-# Their default law is the one that was validated for fast motion (docs/validity.md), although the
-# measurements are the table for plates.
 
+def _measured(row: dict[str, str]) -> Medium:
+    """Register a medium of Li, Zhang and Goldman 2013 from a row of `li_2013.csv`.
 
-def _measured(
-    name: str,
-    title: str,
-    *,
-    density: tuple[float, float],
-    repose: float,
-    plate: float,
-    fourier: tuple[float, ...],
-    grain: float,
-    surface_friction: Quantity,
-) -> Medium:
-    """Register a medium of Li, Zhang and Goldman 2013.
-
-    Args:
-        name: its name.
-        title: its title; with a lower-case first letter, its name in their tables.
-        density: density of the grains [kg/m^3] and volume fraction of the bed.
-        repose: angle of repose [degrees].
-        plate: measured alpha_z of a level plate pushed straight down [N/cm^3]. The Fourier series
-            is 5 to 28 % softer there.
-        fourier: coefficients of the series [N/cm^3].
-        grain: diameter of a grain [m].
-        surface_friction: friction coefficient of a body on the grains.
+    Its title with a lower-case first letter is its name in their tables, which give 2500 to 2600
+    kg/m^3 for grains of glass: the row has the mean. `plate` is the measured alpha_z of a level
+    plate pushed straight down, where the Fourier series is 5 to 28 % softer. The default law is the
+    one that was validated for fast motion (docs/validity.md), not the table for plates.
     """
+    title = row["title"]
+    grains, fraction = float(row["grains [kg/m^3]"]), float(row["fraction"])
+    repose, plate = float(row["repose [degrees]"]), float(row["plate [N/cm^3]"])
     bulk = Quantity(
-        density[0] * density[1],
+        grains * fraction,
         "kg/m^3",
-        f"{_LI} S1: grains of {density[0]:g} kg/m^3 fill {density[1]:g} of the bed",
+        f"{_LI} S1: grains of {grains:g} kg/m^3 fill {fraction:g} of the bed",
     )
     mu = math.tan(math.radians(repose))
     generic = LEVEL_PLATE * bulk.value * 9.81 * float(FRICTION_CUBIC(mu))
+    is_measured = row["its source"] == "measured"
     medium = Medium(
-        name=name,
+        name=row["name"],
         title=title,
         density=bulk,
-        grain=Quantity(grain, "m", f"{_LI} S1"),
+        grain=Quantity(float(row["grain [m]"]), "m", f"{_LI} S1"),
         default_law="rft3d_dynamic",
         constants={
-            "rft2d": _fourier(fourier, title[0].lower() + title[1:]),
+            "rft2d": _fourier(
+                tuple(float(row[key]) for key in FOURIER_KEYS), title[0].lower() + title[1:]
+            ),
             "rft2d_measured": {"density": bulk},
             "rft3d": {
                 "density": bulk,
                 "internal_friction": Quantity(
                     mu, "", f"{_LI} S1: tangent of the angle of repose, {repose:g} degrees"
                 ),
-                "surface_friction": surface_friction,
+                "surface_friction": Quantity(
+                    float(row["surface friction"]),
+                    "",
+                    f"{_LI} S1: aluminum on poppy seeds" if is_measured else _CHOSEN,
+                ),
                 "scale": Quantity(
                     1e6 * plate / generic,
                     "",
@@ -156,66 +149,9 @@ def _measured(
     return register_medium(medium)
 
 
-_ON_POPPY = Quantity(0.4, "", f"{_LI} S1: aluminum on poppy seeds")
-
-poppy_seed_loose = _measured(
-    "poppy_seed_loose",
-    "Poppy seed, loosely packed",
-    density=(1100.0, 0.58),
-    repose=36.0,
-    plate=0.351,
-    fourier=(0.051, 0.047, 0.053, 0.083, 0.020, -0.026, 0.057, 0.000, 0.025),
-    grain=0.0007,
-    surface_friction=_ON_POPPY,
-)
-
-poppy_seed_close = _measured(
-    "poppy_seed_close",
-    "Poppy seed, closely packed",
-    density=(1100.0, 0.62),
-    repose=47.0,
-    plate=0.558,
-    fourier=(0.094, 0.092, 0.092, 0.151, 0.035, -0.039, 0.086, 0.018, 0.046),
-    grain=0.0007,
-    surface_friction=_ON_POPPY,
-)
-
-_ON_GLASS = Quantity(0.4, "", _CHOSEN)
-# Density of grains: the table gives 2500 to 2600 for both sizes of beads; this is the mean.
-_GLASS = 2550.0
-
-glass_beads_loose = _measured(
-    "glass_beads_loose",
-    "Glass beads of 0.3 mm, loosely packed",
-    density=(_GLASS, 0.58),
-    repose=25.0,
-    plate=0.24,
-    fourier=(0.040, 0.030, 0.045, 0.077, 0.000, -0.031, 0.066, 0.000, 0.017),
-    grain=0.00027,
-    surface_friction=_ON_GLASS,
-)
-
-glass_beads_close = _measured(
-    "glass_beads_close",
-    "Glass beads of 0.3 mm, closely packed",
-    density=(_GLASS, 0.62),
-    repose=35.0,
-    plate=0.40,
-    fourier=(0.081, 0.063, 0.078, 0.133, 0.024, -0.050, 0.087, 0.000, 0.033),
-    grain=0.00027,
-    surface_friction=_ON_GLASS,
-)
-
-glass_beads_3mm_close = _measured(
-    "glass_beads_3mm_close",
-    "Glass beads of 3 mm, closely packed",
-    density=(_GLASS, 0.63),
-    repose=21.0,
-    plate=0.29,
-    fourier=(0.045, 0.031, 0.046, 0.084, 0.012, -0.031, 0.060, 0.000, 0.015),
-    grain=0.0032,
-    surface_friction=_ON_GLASS,
-)
+with Path(__file__).with_name("li_2013.csv").open(encoding="utf-8") as _file:
+    for _row in csv.DictReader(_file):
+        _measured(_row)
 
 
 def _natural(name: str, title: str, plate: float) -> Medium:

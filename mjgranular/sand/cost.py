@@ -24,9 +24,7 @@ _IMPLICIT = 0.2e-6
 class Cost:
     """What the sand adds to a step [s], within a factor of two on today's machines.
 
-    Attributes:
-        above: cost with all elements above the sand.
-        within: cost with all of them in it.
+    `above` is the cost with all elements above the sand, `within` with all of them in it.
     """
 
     above: float

@@ -96,19 +96,10 @@ class BodyReport:
 
 @dataclass(frozen=True)
 class ElementTable:
-    """The sand on all elements, as arrays; see `ElementReport` for their meaning.
+    """The sand on all elements, as arrays with a row for each.
 
-    Attributes:
-        geom: ids, shape (n,).
-        body: ids, shape (n,).
-        depth: [m], shape (n,).
-        immersed_length: [m], shape (n,).
-        point: [m], shape (n, 3).
-        velocity: [m/s], shape (n, 3).
-        force: [N], shape (n, 3).
-        power: [W], shape (n,).
-        froude: shape (n,).
-        width: [m], shape (n,).
+    The columns are those of `ElementReport`, with the same meaning and units; geoms and bodies are
+    ids. Shapes are (n,), of `point`, `velocity` and `force` (n, 3).
     """
 
     geom: np.ndarray

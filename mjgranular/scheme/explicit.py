@@ -135,10 +135,7 @@ def explicit_program(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
 def largest_step(rate: float) -> float:
     """Return the largest step at which an explicit drag cannot overshoot [s].
 
-    Args:
-        rate: the drag's derivative by velocity, over the mass it acts on [1/s].
-
-    Returns:
-        1 / rate: Adams-Bashforth of second order is stable for `h * rate <= 1`.
+    It is 1 / rate, the drag's derivative by velocity over the mass it acts on [1/s]:
+    Adams-Bashforth of second order is stable for `h * rate <= 1`.
     """
     return math.inf if rate == 0 else 1 / rate

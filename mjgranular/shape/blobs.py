@@ -32,15 +32,8 @@ _GEOM = mujoco.mjtGeom
 def blobs_from_model(model: mujoco.MjModel, geoms: Sequence[int]) -> np.ndarray:
     """Make one blob for each geom; a mesh counts as the box around it.
 
-    Args:
-        model: the model.
-        geoms: geom ids.
-
-    Returns:
-        Blobs, ordered by body, shape (n,), dtype `BLOB_DTYPE`.
-
-    Raises:
-        InputError: a geom's type has no volume, or its size is zero or beyond numerical limits.
+    They are ordered by body, shape (n,), dtype `BLOB_DTYPE`. A type of geom that has no volume, and
+    a size that is zero or beyond numerical limits, are errors.
     """
     blobs = np.zeros(len(geoms), BLOB_DTYPE)
     slots: dict[int, int] = {}

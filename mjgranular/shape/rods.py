@@ -40,21 +40,10 @@ _CYLINDER = int(mujoco.mjtGeom.mjGEOM_CYLINDER)
 
 
 def rods_from_model(model: mujoco.MjModel, geoms: Sequence[int]) -> np.ndarray:
-    """Make one rod for each geom.
+    """Make one rod for each geom: a capsule or cylinder. Shape (n,), dtype `ROD_DTYPE`.
 
     A capsule's rod extends from pole to pole, so a capsule of total length L is the paper's link of
     length L.
-
-    Args:
-        model: the model.
-        geoms: geom ids.
-
-    Returns:
-        Rods, shape (n,), dtype `ROD_DTYPE`.
-
-    Raises:
-        InputError: a geom is neither a capsule nor a cylinder, or its size is zero or beyond
-            numerical limits.
     """
     rods = np.zeros(len(geoms), ROD_DTYPE)
     slots: dict[int, int] = {}
@@ -79,18 +68,7 @@ def rods_from_model(model: mujoco.MjModel, geoms: Sequence[int]) -> np.ndarray:
 
 
 def cut_rods(rods: np.ndarray, pieces: int) -> np.ndarray:
-    """Divide every rod into pieces of equal length, each a rod.
-
-    Args:
-        rods: shape (n,), dtype `ROD_DTYPE`.
-        pieces: number of pieces of each rod.
-
-    Returns:
-        Rods, shape (n * pieces,).
-
-    Raises:
-        InputError: no pieces, or too many.
-    """
+    """Divide every rod into a number of pieces of equal length, each a rod, shape (n * pieces,)."""
     pieces = check_resolution(pieces, 1, MOST_PIECES)
     check_count(len(rods) * pieces)
     cut = np.repeat(rods, pieces)

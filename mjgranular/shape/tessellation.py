@@ -107,11 +107,7 @@ class Cells:
 
 
 def triangles(corners: np.ndarray) -> Cells:
-    """Return triangles, each one cell and one patch.
-
-    Args:
-        corners: shape (n, 3, 3), counter-clockwise seen from outside [m].
-    """
+    """Return triangles [m], counter-clockwise seen from outside: each is one cell and one patch."""
     doubled = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     count = len(corners)
     return Cells(corners.mean(axis=1), doubled / 2, np.zeros((count, 2)), np.arange(count))

@@ -1,6 +1,6 @@
 """Draw `sand.png`, the seamless texture of the bed: grains in the colors of quartz sand.
 
-Run it in this folder after changing it; needs numpy, scipy and pillow.
+Run it after changing it; needs numpy, scipy and pillow.
 """
 
 from pathlib import Path
@@ -27,7 +27,8 @@ def main() -> None:
     part = (position - low)[..., None]
     picture = (1 - part) * COLOURS[low] + part * COLOURS[low + 1]
     image = Image.fromarray(picture.round().astype(np.uint8)).quantize(16, dither=Image.Dither.NONE)
-    image.convert("RGB").save(Path(__file__).with_name("sand.png"), optimize=True)
+    file = Path(__file__).parents[1] / "models" / "assets" / "sand.png"
+    image.convert("RGB").save(file, optimize=True)
 
 
 if __name__ == "__main__":
