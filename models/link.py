@@ -18,6 +18,9 @@ _FOLDER = Path(__file__).resolve().parent
 PAPER_LENGTH = 0.2
 """Length of the link in link.xml [m]; scenery is scaled with the length."""
 
+DARK = (0.25, 0.27, 0.31)
+"""Color of legs and heads of robots."""
+
 
 def model_path(name: str) -> Path:
     """Return the path of an MJCF file by name, "link" for example.
@@ -49,17 +52,20 @@ class Link:
     density: float = 7700.0
 
     def __post_init__(self) -> None:
-        for name, unit in (("length", "m"), ("diameter", "m"), ("density", "kg/m^3")):
-            value = getattr(self, name)
-            if not (is_finite(value) and value > 0):
-                raise InputError(
-                    f"the link's {name} must be positive and finite, not {value} {unit}"
-                )
+        self._check_sizes("link")
         if self.diameter >= self.length:
             raise InputError(
                 f"the link must be longer than it is thick: length {self.length} m, "
                 f"diameter {self.diameter} m"
             )
+
+    def _check_sizes(self, what: str) -> None:
+        for name, unit in (("length", "m"), ("diameter", "m"), ("density", "kg/m^3")):
+            value = getattr(self, name)
+            if not (is_finite(value) and value > 0):
+                raise InputError(
+                    f"the {what}'s {name} must be positive and finite, not {value} {unit}"
+                )
 
     @property
     def mass(self) -> float:
@@ -181,11 +187,21 @@ def robot_scene(name: str, timestep: float) -> mujoco.MjSpec:
     spec.comment = f"Made by mjgranular.models: {name}."
     for each in (*spec.cameras, *spec.texts, spec.body("link"), spec.key("impact")):
         spec.delete(each)
+    make_floor(spec, timestep)
+    paint(spec, shell=(0.86, 0.45, 0.16), leg=DARK)
+    return spec
+
+
+def make_floor(spec: mujoco.MjSpec, timestep: float) -> None:
+    """Put a floor at z = 0 in place of the bed of link.xml; set the options of robots."""
     for each in ("bed", "table"):
         spec.delete(spec.geom(each))
     spec.option.timestep = timestep
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[50, 50, 1])
-    for part, color in (("shell", (0.86, 0.45, 0.16)), ("leg", (0.25, 0.27, 0.31))):
+
+
+def paint(spec: mujoco.MjSpec, **colors: tuple[float, float, float]) -> None:
+    """Add materials of robots by their names, from red, green and blue."""
+    for part, color in colors.items():
         spec.add_material(name=part, rgba=[*color, 1], specular=0.3, shininess=0.4)
-    return spec

@@ -8,7 +8,6 @@ from typing import Literal, get_args
 
 import mujoco
 
-from mjgranular._util.checks import is_finite
 from mjgranular.errors import InputError, UnknownNameError
 from mjgranular.models.link import Link
 from mjgranular.sand.material import LAW_TEXT
@@ -41,12 +40,7 @@ class Projectile(Link):
         if self.shape == "link":
             super().__post_init__()
             return
-        for name, unit in (("length", "m"), ("diameter", "m"), ("density", "kg/m^3")):
-            value = getattr(self, name)
-            if not (is_finite(value) and value > 0):
-                raise InputError(
-                    f"the {self.shape}'s {name} must be positive and finite, not {value} {unit}"
-                )
+        self._check_sizes(self.shape)
         if self.shape == "capsule" and self.diameter >= self.length:
             raise InputError(
                 f"a capsule must be longer than it is thick: length {self.length} m, "

@@ -12,7 +12,7 @@ import numpy as np
 from mjgranular._util.checks import is_finite
 from mjgranular.errors import InputError
 from mjgranular.models.chain import Chain
-from mjgranular.models.link import add_servo
+from mjgranular.models.link import DARK, add_servo, make_floor, paint
 
 Posture = Literal["level", "upright"]
 
@@ -126,21 +126,14 @@ class Worm:
         spec.modelname = "worm"
         spec.comment = "A worm: mjgranular.models.Worm."
         spec.delete(spec.body("link0"))
-        for name in ("bed", "table"):
-            spec.delete(spec.geom(name))
         spec.delete(spec.key("start"))
-        spec.option.timestep = timestep
-        spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        make_floor(spec, timestep)
         for light in spec.lights:  # a level worm lies on the rendered sand
             light.castshadow = not level
         if level:  # the chain's first link is at x = 0; here it is the middle one
             for camera in spec.cameras:
                 camera.pos[0] += self.length / 2
-        spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[50, 50, 1])
-        skin = spec.add_material(name="skin")
-        skin.rgba, skin.specular, skin.shininess = [0.72, 0.36, 0.22, 1], 0.3, 0.4
-        head = spec.add_material(name="head")
-        head.rgba, head.specular, head.shininess = [0.25, 0.27, 0.31, 1], 0.3, 0.4
+        paint(spec, skin=(0.72, 0.36, 0.22), head=DARK)
         middle = self._add_root(spec)
         parent = middle
         for index in reversed(range(self.root)):

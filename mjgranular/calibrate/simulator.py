@@ -29,15 +29,10 @@ _CHECK_EVERY = 8  # steps between two checks for rest
 
 
 class Simulator:
-    """A model on sand of any constants.
+    """A model on sand of any constants; its time step may change between two runs.
 
-    Args:
-        model: the model; its time step may change between two runs.
-        scheme: time stepping scheme, for free motion or for forces on a prescribed motion.
-        bodies: names of the bodies that meet the sand; None for all that can move.
-
-    Attributes:
-        data: the simulation. `use` replaces it if elements or kernels change.
+    The scheme is for free motion, or for forces on a prescribed motion; `bodies` meet the sand,
+    None for all that can move. `use` replaces `data` if elements or kernels change.
     """
 
     def __init__(

@@ -11,9 +11,6 @@ sand. If there are such sensors, they are computed again.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import cache
-
 import mujoco
 
 from mjgranular._util.checks import check_data, check_model
@@ -124,12 +121,8 @@ def rne_post_constraint(model: mujoco.MjModel, data: mujoco.MjData) -> None:
     mujoco.mj_rnePostConstraint(model, data)
     names = sands_in(model)
     if names:
-        _including()(model._address, data._address, instance_of(model, names[0]))
-
-
-@cache
-def _including() -> Callable[..., int]:
-    return entry(_include, "int64(int64, int64, int64)")
+        include = entry(_include, "int64(int64, int64, int64)")
+        include(model._address, data._address, instance_of(model, names[0]))
 
 
 @compiled

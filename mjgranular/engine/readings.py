@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import cache
-
 import mujoco
 import numpy as np
 
@@ -33,7 +30,7 @@ class SandReadings:
         self._instances = [instance_of(model, name) for name in sands]
         self.together = [COUNT * number for number in range(len(sands))]
         self.values = np.zeros((1, COUNT * len(sands)))
-        self._read = _reader()
+        self._read = entry(_read, "int64(int64, int64, int64)")
 
     def read(self, data: mujoco.MjData) -> np.ndarray:
         """Read a simulation; zeros before its first step, and after a reset."""
@@ -42,11 +39,6 @@ class SandReadings:
         for instance, together in zip(self._instances, self.together, strict=True):
             self._read(address, instance, begin + 8 * together)
         return self.values
-
-
-@cache
-def _reader() -> Callable[..., int]:
-    return entry(_read, "int64(int64, int64, int64)")
 
 
 @compiled

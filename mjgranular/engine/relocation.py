@@ -35,12 +35,10 @@ _WORD = 8  # bytes
 
 @dataclass(frozen=True)
 class Image:
-    """A block without an `mjData`.
+    """A block without an `mjData`: its words, as `content`.
 
-    Attributes:
-        content: its words.
-        relocations: rows of `RELOCATION_DTYPE` that do not read the model.
-        shared: arrays whose addresses are in the content.
+    `relocations` are rows of `RELOCATION_DTYPE` that do not read the model; `shared` has the arrays
+    whose addresses are in the content.
     """
 
     content: np.ndarray

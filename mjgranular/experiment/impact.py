@@ -25,6 +25,9 @@ from mjgranular.scheme.explicit import largest_step
 
 Until = Literal["stop", "rest"]
 
+# Fields that a summary has as they are.
+_UNCHANGED = ("tangential_speed", "angular_velocity", "height", "length", "diameter", "density")
+
 
 @dataclass(frozen=True)
 class Impact:
@@ -237,12 +240,7 @@ class ImpactResult:
             "stopping_time": None if stop is None else stop.time,
             "depth": float(self.trajectory.y_T.max()) if stop is None else stop.depth,
             "stopped": stop is not None,
-            "tangential_speed": impact.tangential_speed,
-            "angular_velocity": impact.angular_velocity,
-            "height": impact.height,
-            "length": impact.length,
-            "diameter": impact.diameter,
-            "density": impact.density,
+            **{name: getattr(impact, name) for name in _UNCHANGED},
             "touchdown_time": self.touchdown,
             "stop_angle_deg": None if stop is None else degrees(stop.angle),
             "stop_angular_velocity": None if stop is None else stop.angular_velocity,

@@ -26,11 +26,10 @@ from mjgranular.kernel.vector import Matrix, Vector, VectorType
 
 @dataclass(frozen=True)
 class Access:
-    """Values of one kind in an array of floats.
+    """Kernels for values of one kind in an array of floats.
 
-    Attributes:
-        read: kernel `read(array, first)`: the value whose first number has this index.
-        write: kernel `write(array, first, value)`.
+    `read(array, first)` returns the value whose first number has this index, `write(array, first,
+    value)` writes it.
     """
 
     read: Any

@@ -56,15 +56,12 @@ def simulation_table(
     update: int,
     forces: int,
 ) -> np.ndarray:
-    """Make the table of sizes and addresses.
+    """Make the table of sizes and addresses, shape (27,), int64.
 
     `packed` has the law's elements, `count` of them, as its program reads them; `integrators` has a
     bit for each that can be stepped; `longest_step` is in nanoseconds; `options`, `update` and
-    `forces` are addresses, 0 for no program.
-
-    Returns:
-        The table, shape (27,), int64. It keeps nothing alive: all arguments must outlive every use
-            of it.
+    `forces` are addresses, 0 for no program. It keeps nothing alive: all arguments must outlive
+    every use of it.
     """
     arrays = (
         model.dof_parentid,

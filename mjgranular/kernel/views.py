@@ -27,13 +27,10 @@ _WORD = ir.IntType(64)
 
 
 class Views(types.Type):
-    """A record of words: numbers, then addresses of arrays.
+    """A record of words: numbers of given types, then addresses of arrays; `dtype` in memory.
 
-    Attributes:
-        dtype: dtype of the record in memory.
-        numbers: types of its numbers.
-        arrays: for each array the type of its items, and its shape in numbers and names of the
-            record's numbers.
+    For each array `arrays` has the type of its items, and its shape in numbers and names of the
+    record's numbers.
     """
 
     def __init__(

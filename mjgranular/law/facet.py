@@ -78,15 +78,9 @@ def facet_kernel(
 ) -> LawKernel:
     """Make the kernels of a law of surface elements for surfaces with that `probe`.
 
-    Args:
-        probe: probe of the surface.
-        stress: see `RftLaw`; used if there is no `slope`.
-        slope: see `RftLaw`.
-        is_plane: whether facets may be sampled side by side.
-        toward: see `Surface.toward_kernel`.
-        ceiling: see `Surface.ceiling_kernel`.
-        added: whether there is added mass (`facet_added`).
-        raised: factor on static resistance (`law.raised`).
+    `slope`, or `stress` if there is none, is that of `RftLaw`; `toward` and `ceiling` are kernels
+    of `Surface`. On a plane facets may be sampled side by side. `added` asks for added mass
+    (`facet_added`); `raised` is the factor on static resistance (`law.raised`).
 
     The law's record has `inertia`, lambda rho [kg/m^3], and `rise`, 1 if the surface behind a
     turning body is lowered; with added mass also `added`, kappa, and `density`, rho.

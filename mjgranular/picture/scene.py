@@ -55,13 +55,9 @@ class View:
 
 
 class Ground:
-    """Sand in a scene.
+    """Sand in a scene; a `surface` of None is the bed of a link or a chain.
 
-    Args:
-        model: the drawn model.
-        surface: surface of the sand; None for the bed of a link or a chain.
-        view: the view.
-        covered: tracks of the run and memory of the sand; None for sand without memory.
+    `covered` has tracks of the run and memory of the sand; None for sand without memory.
     """
 
     def __init__(

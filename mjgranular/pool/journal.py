@@ -31,9 +31,6 @@ class Journal:
         folder: folder for the result; None for a temporary file, deleted with this object.
         asked: the request, in plain values; a run only resumes from results of the same request.
         size: number of tasks.
-
-    Attributes:
-        count: number of results.
     """
 
     def __init__(self, folder: Path | None, asked: Mapping[str, Any], size: int) -> None:

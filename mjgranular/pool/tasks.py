@@ -21,12 +21,9 @@ TRIES = 3
 
 @dataclass(frozen=True)
 class Failure:
-    """A task without a result.
+    """A task without a result: its number, the reason, in a sentence, and whether it was lost.
 
-    Attributes:
-        index: number of the task.
-        reason: the reason, in a sentence.
-        lost: whether all of its three workers died; else it raised an error.
+    It is lost if all of its three workers died; else it raised an error.
     """
 
     index: int

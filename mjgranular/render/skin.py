@@ -51,18 +51,11 @@ def add_skin(
     rgb: Sequence[float] = (1.0, 1.0, 1.0),
     thickness: float = 0.0,
 ) -> None:
-    """Add the skin of a sand to a model, unless it has it.
+    """Add the skin of a sand to a model, unless it has it; physics are the same to the last bit.
 
     MuJoCo does not draw it, since it is transparent, but computes its vertices and normals for code
-    that does.
-
-    Args:
-        spec: the model to be; its physics are unchanged, to the last bit.
-        memory: memory of the sand.
-        material: name of the visible material.
-        sand: name of the sand.
-        rgb: color that the material is multiplied by.
-        thickness: thickness of the sand, if its walls are visible [m].
+    that does. Its color is that of the visible material times `rgb`; `thickness` is that of the
+    sand, if its walls are visible [m].
     """
     name = f"{SKIN} {sand}"
     if any(skin.name == name for skin in spec.skins):

@@ -68,14 +68,10 @@ def room_of(canvas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 class TrackMesh:
-    """Sand with tracks, in a model that has a skin for it (`add_skin`).
+    """Sand with tracks, in a model that has a skin for it (`add_skin`), whose vertices are written.
 
-    Args:
-        model: drawn model; vertices of its skin are written.
-        base: the surface without tracks.
-        memory: its memory.
-        unit: edge of the grain texture, and of rectangles far away [m].
-        region: drawn region; None for everything.
+    `base` is the surface without tracks, `unit` the edge of the grain texture, and of rectangles
+    far away [m]; a `region` of None is everything.
     """
 
     def __init__(

@@ -131,12 +131,7 @@ class TrackRecorder:
 
 
 class Replay:
-    """Heights at any time of a run, as the state of a memory.
-
-    Attributes:
-        state: state of the relief (`relief.grid`), at the last requested time.
-        time: that time [s].
-    """
+    """Heights at any time of a run, as the `state` of a memory (`relief.grid`) at a `time` [s]."""
 
     def __init__(self, prints: Tracks, memory: Memory) -> None:
         self._prints, self._size = prints, memory.size

@@ -81,17 +81,10 @@ def find_elements(table, w):
 def evaluate(table, w, task, eps, update, loose):
     """Set residual and Jacobian at `w.velocity`, and the forces on elements in their tiles.
 
-    Args:
-        table: table of addresses.
-        w: the workspace.
-        task: `RESPOND`, or `DAMP` for secants of forces in the Jacobian instead of derivatives.
-        eps: softness [m/s].
-        update: origin of multipliers: `NEXT`, those after a Newton step to this velocity; `FRESH`
-            and `SAME` as for a `Search`.
-        loose: softness of the first multipliers, `Search.loose` [m/s].
-
-    Returns:
-        (size of the residual, greatest mismatch).
+    The task is `RESPOND`, or `DAMP` for secants of forces in the Jacobian instead of derivatives;
+    `eps` is the softness [m/s]. `update` is the origin of multipliers: `NEXT`, those after a Newton
+    step to this velocity; `FRESH` and `SAME` as for a `Search`, whose `loose` is given too. Return
+    the size of the residual, and the greatest mismatch.
     """
     find_motions(w, w.velocity)
     for b in range(w.nbody):

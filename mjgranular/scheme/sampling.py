@@ -44,14 +44,10 @@ def sampling_kernel(kernel: LawKernel, scene_dtype: np.dtype, finish: Any, *, co
     whatever workspace `finish` expects, the address of the first tile, the distance between tiles
     in bytes (0 to reuse one tile), and the scheme's lead [s].
 
-    Args:
-        kernel: kernel of the law.
-        scene_dtype: record of law and surface.
-        finish: kernel `finish(table, workspace, body, place, g, tile, number, live, is_first,
-            lead)`, called with each tile: its index, the number of elements in it, and whether it
-            is the first of its body. Forces that it leaves in the tile are written to the contacts.
-        compact: merge the immersed elements of several packed tiles. It pays if forces are
-            evaluated several times.
+    The kernel `finish(table, workspace, body, place, g, tile, number, live, is_first, lead)` is
+    called with each tile: its index, the number of elements in it, and whether it is the first of
+    its body. Forces that it leaves in the tile are written to the contacts. `compact` merges the
+    immersed elements of several packed tiles, which pays if forces are evaluated several times.
     """
     lanes, size = kernel.lanes, tile_size(kernel)
     packed_size = size_of(kernel.element) * lanes

@@ -71,10 +71,8 @@ class FloorWatch:
     """Watch contacts for ground of the model that carries bodies instead of the sand.
 
     `find_floors` finds ground above the sand at `qpos0`. This finds the rest: a floor just under
-    the surface, which feet reach, and ground that bodies walk onto.
-
-    Attributes:
-        floors: ids of the geoms that have carried bodies so far.
+    the surface, which feet reach, and ground that bodies walk onto. `floors` has the ids of the
+    geoms that have carried bodies so far.
     """
 
     def __init__(self, model: mujoco.MjModel, geoms: Sequence[int], surface: Surface) -> None:

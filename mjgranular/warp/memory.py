@@ -24,18 +24,10 @@ from mjgranular.warp.records import (
 
 
 class WarpMemory:
-    """Heights of the sand in each world.
+    """Heights of the sand in each of `count` worlds, with a `record` of their surface.
 
-    Args:
-        relief: surface with memory.
-        footprint: surface points of the bodies.
-        record: record of the surface.
-        model: MuJoCo model of the bodies.
-        count: number of worlds.
-        device: Warp device.
-
-    Attributes:
-        surface: struct of the surface with its heights, as kernels read it.
+    Surface points of the bodies are in `footprint`. The attribute `surface` is the struct of the
+    surface with its heights, as kernels read it.
     """
 
     def __init__(
