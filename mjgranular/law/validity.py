@@ -81,7 +81,9 @@ def findings_of(name: str) -> tuple[Finding, ...]:
     """
     with Path(__file__).with_name("error_table.csv").open(encoding="utf-8") as file:
         return tuple(
-            Finding(*(float(row[key]) for key in ("froude", "grains", "error")), int(row["runs"]))
+            Finding(
+                float(row["froude"]), float(row["grains"]), float(row["error"]), int(row["runs"])
+            )
             for row in csv.DictReader(file)
             if row["law"] == name
         )

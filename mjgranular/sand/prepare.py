@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
@@ -90,7 +90,7 @@ def prepare(model: mujoco.MjModel, spec: SandSpec, *, within: bool = False) -> P
     law_program = 0 if forces is None else program_address(forces, FORCES, what)
     shared = what if forces is None else f"scheme {scheme.name}"
     return PreparedSand(
-        **(vars(chosen) | {"surface": surface}),
+        **vars(replace(chosen, surface=surface)),
         scheme=scheme,
         packed=kernel.pack(elements),
         scene=scene,
