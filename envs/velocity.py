@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 import mujoco
 import numpy as np
 
+from mjgranular._util.checks import check_count
 from mjgranular.envs.ground import converted_errors
 from mjgranular.envs.ranges import Sample
 from mjgranular.envs.task import Start, State, Task
@@ -28,6 +29,8 @@ _STEP, _SLOPE, _ACTION = 0, slice(1, 3), slice(3, 15)
 _COMMANDS, _PUSHES = 7, 20  # at most, in an episode of 20 s
 _COMMAND = slice(15, 15 + 4 * _COMMANDS)
 _PUSH = slice(_COMMAND.stop, _COMMAND.stop + 7 * _PUSHES)
+_PAST = slice(_PUSH.stop, None)  # what was sensed in earlier steps, the last step first
+_SENSED = 42  # observations before the command
 
 _COMMAND_TIME = (3.0, 8.0)  # of a command [s]; these and the next two as in mjlab
 _PUSH_TIME = (1.0, 3.0)  # from one push to the next [s]
@@ -101,6 +104,9 @@ class Go1Velocity(Task):
     | 44 | commanded yaw rate, to the left | rad/s | `command_yaw` |
     | 45, 46 | sine and cosine of the trot's phase; 0 if the command is to stand | 1 | -1 to 1 |
 
+    With `history=4`, 168 more: 0 to 41 of the last four steps, the latest first; zeros before the
+    start.
+
     ## Rewards
     The sum of these, each times the duration of a step, 0.02 s:
 
@@ -136,9 +142,9 @@ class Go1Velocity(Task):
     ## Arguments
     `robot_file`, a name of MuJoCo Menagerie or a path of MJCF with the same joints and calves;
     `command_x=(-0.8, 0.8)`, `command_y=(-0.4, 0.4)`, `command_yaw=(-1, 1)`, `push_scale=1`,
-    `reset_noise_scale=0.05`, the sizes of the weights above, such as `linear_weight=3`,
-    `frame_skip=4` substeps of 5 ms, and those of `Task`: the medium, randomised sand and so on. The
-    default resolution is 2.
+    `reset_noise_scale=0.05`, `history=0` earlier steps in the observation, the sizes of the weights
+    above, such as `linear_weight=3`, `frame_skip=4` substeps of 5 ms, and those of `Task`: the
+    medium, randomised sand and so on. The default resolution is 2.
 
     ## Version History
     v0: first.
@@ -160,6 +166,7 @@ class Go1Velocity(Task):
     command_yaw: tuple[float, float] = (-1.0, 1.0)
     push_scale: float = 1.0
     reset_noise_scale: float = 0.05
+    history: int = 0
     linear_weight: float = 3.0
     angular_weight: float = 1.5
     upright_weight: float = 1.0
@@ -172,6 +179,7 @@ class Go1Velocity(Task):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        check_count("history", self.history, least=0)
         for name in ("command_x", "command_y", "command_yaw"):
             if not np.isfinite(getattr(self, name)).all():
                 raise InputError(f"{name} must be a range of finite numbers")
@@ -194,7 +202,7 @@ class Go1Velocity(Task):
         spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[50, 50, 1])
         spec.option.timestep = self.timestep
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-        spec.nuserdata = _PUSH.stop
+        spec.nuserdata = _PUSH.stop + _SENSED * self.history
         return spec
 
     @cached_property
@@ -232,7 +240,7 @@ class Go1Velocity(Task):
         qpos[7:] += random.uniform(-noise, noise, 12)
         qvel = np.zeros(18)
         qvel[6:] = random.uniform(-noise, noise, 12)
-        userdata = np.zeros(_PUSH.stop)
+        userdata = np.zeros(_PUSH.stop + _SENSED * self.history)
         userdata[_SLOPE] = 0.0, 1.0
         userdata[_COMMAND] = self._draw_commands(random).ravel()
         userdata[_PUSH] = self._draw_pushes(random).ravel()
@@ -279,6 +287,9 @@ class Go1Velocity(Task):
 
     def act(self, action: np.ndarray, state: State) -> np.ndarray:
         applied = np.clip(action, -1.0, 1.0).astype(float)
+        if self.history:
+            past = state.userdata[:, _PAST]
+            past[:] = np.concatenate([self._sense(state), past[:, :-_SENSED]], axis=1)
         state.userdata[:, _ACTION] = applied
         state.userdata[:, _STEP] += 1
         self._push(state)
@@ -319,6 +330,13 @@ class Go1Velocity(Task):
         return np.where(walks[:, None], clock, 0.0)
 
     def observe(self, state: State) -> np.ndarray:
+        past = state.userdata[:, _PAST]
+        return np.concatenate(
+            [self._sense(state), self.command(state), self._clock(state), past], axis=1
+        )
+
+    def _sense(self, state: State) -> np.ndarray:
+        """Return what the robot measures, and its last action, shape (n, _SENSED)."""
         sine, cosine = state.userdata[:, _SLOPE].T
         gravity = (-sine, np.zeros(len(sine)), -cosine)
         return np.concatenate(
@@ -328,8 +346,6 @@ class Go1Velocity(Task):
                 state.qpos[:, 7:] - self._stance,
                 state.qvel[:, 6:],
                 state.userdata[:, _ACTION],
-                self.command(state),
-                self._clock(state),
             ],
             axis=1,
         )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,7 @@ from mjgranular.learn.settings import Settings
 from mjgranular.learn.weights import add_spaces, check_spaces, read_weights
 
 _NUMBERS = ("count", "clip", "epsilon", "return_mean", "return_variance", "return_count")
+_FEW = 10_000.0  # observations that scales are from, where they are to change soon; chosen
 _REPLAY_ARRAYS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 
 # State of the running episodes, which a checkpoint does not keep: see `callback.restart_episodes`.
@@ -172,6 +173,16 @@ class Normalizer:
         env.ret_rms.mean = np.float64(self.return_mean)
         env.ret_rms.var = np.float64(self.return_variance)
         env.ret_rms.count = self.return_count
+
+    def widened(self, size: int) -> Normalizer:
+        """Return statistics of more observations; the scales of the new ones are found quickly."""
+        more = size - len(self.mean) if self.observations else 0
+        return replace(
+            self,
+            mean=np.concatenate([self.mean, np.zeros(more)]),
+            variance=np.concatenate([self.variance, np.ones(more)]),
+            count=min(self.count, _FEW),
+        )
 
     def as_json(self) -> dict[str, Any]:
         """Return plain values; floats in JSON read back the same."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -175,7 +175,10 @@ def new_model(run: Run, env: Any) -> Any:
 def _take_over(where: str, run: Run, model: Any, env: Any) -> None:
     """Give an untrained model the weights and the scales of observations of another policy."""
     try:
-        other = load_policy(where).checked(run.environment, env)
+        other = load_policy(where)
+        old, new = (one.observation_space.shape for one in (other.model, env))
+        if not len(old) == len(new) == 1 or new[0] <= old[0]:
+            other.checked(run.environment, env)
     except GranularError as error:
         raise InputError(f"start_from: {error}") from None
     names = ("algorithm", "net", "activation", "normalize_observations")
@@ -186,13 +189,26 @@ def _take_over(where: str, run: Run, model: Any, env: Any) -> None:
     if theirs != ours:
         raise InputError(f"start_from: {where} has {theirs}, but this run has {ours}")
     try:
-        model.policy.load_state_dict(other.model.state_dict())
+        weights, normalizer = dict(other.model.state_dict()), other.normalizer
+        if new != old:
+            _widen(weights, model.policy.state_dict(), old[0], new[0])
+            normalizer = normalizer.widened(new[0])
+        model.policy.load_state_dict(weights)
     except RuntimeError:
         raise InputError(
             f"start_from: the weights of {where} do not fit: policy and use_sde must be as in its "
             "settings"
         ) from None
-    other.normalizer.restore(env)
+    normalizer.restore(env)
+
+
+def _widen(weights: dict[str, Any], untrained: Mapping[str, Any], old: int, new: int) -> None:
+    """Give zero weights to observations that are new, which come last."""
+    for name, own in untrained.items():
+        if name in weights and (own.shape[1:], weights[name].shape[1:]) == ((new,), (old,)):
+            wide = own.new_zeros(own.shape)
+            wide[:, :old] = weights[name]
+            weights[name] = wide
 
 
 def _arguments(settings: Settings, env: Any) -> dict[str, Any]:

@@ -1,5 +1,6 @@
 """The Go1 by its name, and its task of commanded velocities."""
 
+import itertools
 import math
 import sys
 from types import SimpleNamespace
@@ -176,7 +177,7 @@ def test_heights_are_those_over_the_drawn_surface():
 def test_drawn_sand_in_a_batch_is_that_of_single_environments():
     media = ("quikrete_medium", "poppy_seed_loose")
     ranges = SandRanges(strength=(0.5, 2.0), slope=(-0.1, 0.1), media=media)
-    options = {"randomise": ranges, "observe_sand": True}
+    options = {"randomise": ranges, "observe_sand": True, "history": 1}
     batch = SandVectorEnv("Go1Velocity", 2, max_episode_steps=8, **options)
     make = [lambda: gym.make("mjgranular/Go1Velocity-v0", max_episode_steps=8, **options)] * 2
     sync = gym.vector.SyncVectorEnv(make)
@@ -195,6 +196,21 @@ def test_the_clock_runs_unless_the_command_is_to_stand():
         clocks = [env.step(ZERO)[0][45:] for _ in range(25)]
         sizes = np.linalg.norm(clocks, axis=1)
         assert sizes == pytest.approx(np.full(25, float(moves)))
+
+
+def test_a_history_has_what_was_sensed_before():
+    env = SandEnv(Go1Velocity(**STILL, history=2))
+    seen = [env.reset(seed=0)[0]]
+    assert seen[0].shape == (47 + 2 * 42,)
+    assert not seen[0][47:].any()
+    seen += [env.step(env.action_space.sample())[0] for _ in range(4)]
+    for before, after in itertools.pairwise(seen):
+        assert np.array_equal(after[47:89], before[:42])
+        assert np.array_equal(after[89:], before[47:89])
+    assert not env.reset(seed=1)[0][47:].any()
+    for wrong in (-1, 1.5, True):
+        with pytest.raises(InputError, match="history"):
+            Go1Velocity(history=wrong)
 
 
 def test_part_of_the_ground_can_be_rigid():

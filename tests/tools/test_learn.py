@@ -8,7 +8,9 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -145,6 +147,28 @@ def test_a_policy_that_does_not_fit_starts_nothing(change, message, trained, tmp
     run = begin_run(tmp_path / "run", ID, settings, seed=3)
     with pytest.raises(InputError, match=message):
         train(run)
+
+
+def padded(**given: Any) -> gym.Env:
+    """The pendulum with two more observations."""
+    space = gym.spaces.Box(-np.inf, np.inf, (5,), np.float32)
+    env = gym.make(ID, **given)
+    return gym.wrappers.TransformObservation(env, lambda seen: np.append(seen, seen[:2]), space)
+
+
+def test_observations_that_are_new_begin_with_no_weight(trained, tmp_path, monkeypatch):
+    spec = gym.envs.registration.EnvSpec("Padded-v0", entry_point=padded)
+    monkeypatch.setitem(gym.registry, "Padded-v0", spec)
+    still = quick("ppo", f"start_from={trained.path}", "learning_rate=1e-12", "total_steps=128")
+    run = begin_run(tmp_path / "on", "Padded-v0", still, seed=4)
+    train(run)
+    old, new = (load_policy(one.path) for one in (trained, run))
+    seen = np.array([[0.5, -0.2, 0.1]])
+    same = replace(new, normalizer=old.normalizer.widened(5))
+    more = np.array([[0.5, -0.2, 0.1, 9.0, -9.0]])
+    np.testing.assert_allclose(same.act(more, [0]), old.act(seen, [0]), rtol=1e-4, atol=1e-6)
+    with pytest.raises(InputError, match="the observations of Pendulum-v1 must be those of"):
+        train(begin_run(tmp_path / "back", ID, quick("ppo", f"start_from={run.path}"), seed=4))
 
 
 def test_options_of_an_environment_may_be_infinite(tmp_path):
