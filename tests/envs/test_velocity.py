@@ -4,6 +4,7 @@ import itertools
 import math
 import sys
 from types import SimpleNamespace
+from xml.etree import ElementTree
 
 import gymnasium as gym
 import mujoco
@@ -13,7 +14,7 @@ import pytest
 from mjgranular import InputError, UnknownNameError
 from mjgranular.envs import SandRanges, SandVectorEnv
 from mjgranular.envs.single import SandEnv
-from mjgranular.envs.velocity import Go1Velocity
+from mjgranular.envs.velocity import Go1Velocity, Go2Velocity
 from mjgranular.experiment.drop import Drop, load
 from mjgranular.models import robot_path
 
@@ -94,8 +95,9 @@ def mujoco_humanoid():
     return f"{robots.__path__[0]}/assets/humanoid.xml"
 
 
-def test_it_stands_with_its_weight_on_its_feet():
-    task = Go1Velocity(**STILL, **STAND)
+@pytest.mark.parametrize("robot", [Go1Velocity, pytest.param(Go2Velocity, marks=pytest.mark.slow)])
+def test_it_stands_with_its_weight_on_its_feet(robot):
+    task = robot(**STILL, **STAND)
     env = SandEnv(task)
     observation, info = env.reset(seed=0)
     reward = 0.0
@@ -108,6 +110,27 @@ def test_it_stands_with_its_weight_on_its_feet():
     assert observation[:3] == pytest.approx([0, 0, -1], abs=0.05)
     assert 7 * task.dt < reward < 8 * task.dt
     assert sum(info[name] for name in info if name.startswith("reward_")) == pytest.approx(reward)
+
+
+def test_legs_may_be_in_any_order(go1, tmp_path):
+    tree = ElementTree.parse(go1)
+    trunk = tree.find("worldbody/body")
+    legs = {body.get("name")[:2]: body for body in trunk.findall("body")}
+    for leg in ("FL", "FR", "RL", "RR"):  # as in the Go2's file
+        trunk.remove(legs[leg])
+        trunk.append(legs[leg])
+    tree.find("compiler").set("meshdir", f"{go1.parent}/assets")
+    tree.write(tmp_path / "go1.xml")
+    envs = [SandEnv(Go1Velocity(robot_file=file, **STILL)) for file in (go1, tmp_path / "go1.xml")]
+    one, other = envs
+    assert list(other.task._angles) != list(one.task._angles)
+    np.testing.assert_array_equal(*(env.reset(seed=0)[0] for env in envs))
+    one.action_space.seed(0)
+    for _ in range(20):
+        action = 0.3 * one.action_space.sample()
+        seen, same = (env.step(action) for env in envs)
+        assert same[0] == pytest.approx(seen[0], abs=1e-6)
+        assert same[1] == pytest.approx(seen[1], abs=1e-7)
 
 
 def test_velocities_are_those_of_the_trunk_in_its_own_frame():
