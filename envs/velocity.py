@@ -38,8 +38,8 @@ _PUSH_TIME = (1.0, 3.0)  # from one push to the next [s]
 _PUSH_SIZE = np.array([0.5, 0.5, 0.4, 0.52, 0.52, 0.78])  # [m/s], [rad/s]
 _STANDING, _FORWARD = 0.1, 0.2  # shares of commands to stand, and to walk straight ahead
 
-# Stiffness and damping of motors as in MuJoCo Playground. With mjlab's, a natural frequency of 10 Hz,
-# the trunk sags and a scripted trot does not get ahead on sand.
+# Stiffness and damping of motors as in MuJoCo Playground. With mjlab's, a natural frequency of
+# 10 Hz, the trunk sags and a scripted trot does not get ahead on sand.
 _STIFFNESS, _DAMPING = 35.0, 0.5  # [N m/rad], [N m s/rad]
 _STANCE = {"hip": 0.1, "thigh": 0.9, "calf": -1.8}  # [rad]; hips on the left have the other sign
 _POSE = np.array([0.3, 0.3, 0.6] * 4)  # deviations from the stance that a gait needs [rad]

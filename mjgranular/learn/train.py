@@ -193,6 +193,8 @@ def _take_over(where: str, run: Run, model: Any, env: Any) -> None:
         if new != old:
             _widen(weights, model.policy.state_dict(), old[0], new[0])
             normalizer = normalizer.widened(new[0])
+        if "log_std_init" in run.settings.policy and "log_std" in weights:
+            weights["log_std"] = model.policy.log_std
         model.policy.load_state_dict(weights)
     except RuntimeError:
         raise InputError(

@@ -128,6 +128,10 @@ def test_a_training_goes_on_from_the_policy_of_another(trained, tmp_path):
     old, new = load_policy(trained.path).normalizer, load_policy(run.path).normalizer
     assert new.count == old.count + 2 + 128  # a reset, and the steps
     assert 0.0 < np.abs(new.mean - old.mean).max() < 0.5
+    loud = begin_run(tmp_path / "loud", ID, change(still, ["policy.log_std_init=0.7"]), seed=4)
+    train(loud)
+    assert load_policy(loud.path).model.log_std.item() == pytest.approx(0.7, abs=1e-3)
+    assert abs(load_policy(trained.path).model.log_std.item()) < 0.1
 
 
 @pytest.mark.parametrize(
