@@ -140,9 +140,9 @@ def measure_sand(block, measure, slot, values):
             contact = contacts[i]
             depth = max(depth, contact.depth)
             if contact.depth > 0.0:  # above the sand only the depth is written
+                power += contact.power
                 speed = 0.0
                 for k in range(3):
-                    power += contact.force[k] * contact.velocity[k]
                     speed += contact.velocity[k] * contact.velocity[k]
                 square = max(square, speed)
     if measure == SPEED:

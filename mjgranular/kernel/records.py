@@ -29,6 +29,7 @@ CONTACT_DTYPE = np.dtype(
         ("point", np.float64, (3,)),  # point of action of the force [m], world
         ("velocity", np.float64, (3,)),  # of that point [m/s], world
         ("force", np.float64, (3,)),  # on the element [N], world
+        ("power", np.float64),  # of that force at the velocity that it belongs to [W]
     ]
 )
 

@@ -33,9 +33,11 @@ class ElementReport:
         depth: depth of the element below the surface, of a rod's deeper end [m]; negative above it.
         immersed_length: length of a rod in the sand [m]; 0 for other elements.
         point: E, where the force acts [m], shape (3,); the element's middle above the sand.
-        velocity: velocity of that point [m/s], shape (3,); zero above the sand.
+        velocity: velocity of that point [m/s], shape (3,); zero above the sand. It is that at the
+            beginning of the step.
         force: force of the sand on the element [N], shape (3,).
-        power: power of that force on the body [W]; never positive for a dissipative law.
+        power: power of that force on the body [W]; never positive for a dissipative law. Under the
+            implicit scheme it is that at the end of the step, where the force is.
         froude: Froude number |v_E| / sqrt(g w) with the geom's width w, a rod's diameter; 0
             without gravity.
         width: width of the geom [m].
@@ -300,7 +302,8 @@ def _element_table(
     dry = contacts["depth"] <= 0
     point, velocity = contacts["point"].copy(), contacts["velocity"].copy()
     force, length = contacts["force"].copy(), contacts["length"].copy()
-    velocity[dry], force[dry], length[dry] = 0.0, 0.0, 0.0
+    power = contacts["power"].copy()
+    velocity[dry], force[dry], length[dry], power[dry] = 0.0, 0.0, 0.0, 0.0
     local = elements["point" if "point" in (elements.dtype.names or ()) else "center"][dry]
     body = elements["body"][dry]
     point[dry] = data.xpos[body] + np.einsum("nij,nj->ni", data.xmat[body].reshape(-1, 3, 3), local)
@@ -314,7 +317,7 @@ def _element_table(
         point=point,
         velocity=velocity,
         force=force,
-        power=(force * velocity).sum(axis=1),
+        power=power,
         froude=np.divide(speed, scale, out=np.zeros_like(speed), where=scale > 0),
         width=elements["width"],
     )

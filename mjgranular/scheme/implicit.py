@@ -50,13 +50,13 @@ from mjgranular.kernel.engine import (
 from mjgranular.kernel.memory import WORKSPACE, table_at
 from mjgranular.kernel.options import options_at
 from mjgranular.kernel.records import bodies_of, contacts_of
-from mjgranular.kernel.vector import cross, norm, read_vector, write_vector
+from mjgranular.kernel.vector import cross, dot, norm, read_vector, write_vector
 from mjgranular.law.kernel import LawKernel
 from mjgranular.scheme.balance import prepare_inertia
 from mjgranular.scheme.constraints import prepare_constraints
 from mjgranular.scheme.dense import add_scaled, clear, copy, inner
 from mjgranular.scheme.evaluation import find_elements, forces_program
-from mjgranular.scheme.layout import FORCE, INDEX
+from mjgranular.scheme.layout import FORCE, INDEX, VELOCITY
 from mjgranular.scheme.metric import is_unsupported, make_metric
 from mjgranular.scheme.passivity import passive_share
 from mjgranular.scheme.scheme import Scheme, Workspace, schemes
@@ -264,10 +264,12 @@ def write_body_wrenches(w, bodies, share):
 
 @compiled
 def write_contacts(table, w, share):
-    """Write the forces on elements to their contacts."""
+    """Write the forces on elements to their contacts, and their power at the end of the step."""
     contacts = contacts_of(table)
     for i in range(w.count):
         tile = w.tiles[i]
         for lane in range(w.heads[i].live):
             contact = contacts[bits_of(tile[INDEX * w.lanes + lane])]
-            write_vector(contact.force, 0, share * lane_vector(w, tile, FORCE, lane))
+            force = share * lane_vector(w, tile, FORCE, lane)
+            write_vector(contact.force, 0, force)
+            contact.power = dot(force, lane_vector(w, tile, VELOCITY, lane))

@@ -15,7 +15,7 @@ from mjgranular.kernel.lanes import all_of, choose, count_of
 from mjgranular.kernel.memory import CONTACTS, ELEMENTS, SCENE, floats, records, scratch
 from mjgranular.kernel.motion import velocity_at
 from mjgranular.kernel.records import CONTACT_DTYPE, bodies_of, contacts_of
-from mjgranular.kernel.vector import Vector, write_vector
+from mjgranular.kernel.vector import Vector, dot, write_vector
 from mjgranular.law.kernel import LawKernel, level_kernel
 from mjgranular.scheme.layout import (
     ARM,
@@ -74,8 +74,11 @@ def sampling_kernel(kernel: LawKernel, scene_dtype: np.dtype, finish: Any, *, co
                 contact = contacts[bits_of(tile[INDEX * lanes + lane])]
                 contact.length = tile[(SAMPLE + 1) * lanes + lane]
                 write_vector(contact.point, 0, read(tile, POINT * lanes + lane))
-                write_vector(contact.velocity, 0, read(tile, VELOCITY * lanes + lane))
-                write_vector(contact.force, 0, read(tile, FORCE * lanes + lane))
+                velocity = read(tile, VELOCITY * lanes + lane)
+                force = read(tile, FORCE * lanes + lane)
+                write_vector(contact.velocity, 0, velocity)
+                write_vector(contact.force, 0, force)
+                contact.power = dot(force, velocity)
 
     @compiled
     def sample_all(table, workspace, tiles, step, lead):
