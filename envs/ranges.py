@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
+from numbers import Real
 from typing import Any
 
 import mujoco
@@ -111,15 +112,15 @@ class SandRanges:
             raise InputError(f"SandRanges: {name} has its low end above its high end: {given}")
         object.__setattr__(self, name, (low, high))
 
-    def check_within(self, other: SandRanges) -> None:
-        """Check that a curriculum samples only sand that the model has."""
+    def check_within(self, other: SandRanges, origin: str) -> None:
+        """Check that a curriculum or a reset samples only sand that the model has."""
         for field in fields(self):
             if field.name in ("media", "laws", "surfaces"):
                 wanted, there = getattr(self, field.name), getattr(other, field.name)
                 for name in wanted:
                     if name not in there:
                         raise InputError(
-                            f"the curriculum's {field.name} have {name!r}, which randomise does "
+                            f"{field.name} of {origin} have {name!r}, which randomise does "
                             f"not: it has {', '.join(there) or 'none'}"
                         )
 
@@ -232,8 +233,27 @@ def next_ranges(
     given = curriculum(episode)
     if not isinstance(given, SandRanges):
         raise InputError(f"the curriculum must give a SandRanges, not {given!r}")
-    given.check_within(ranges)
+    given.check_within(ranges, "the curriculum")
     return given
+
+
+def ranges_of_reset(ranges: SandRanges | None, options: Mapping[str, Any]) -> SandRanges | None:
+    """Return the ranges for one episode from the options of a reset; a number is a fixed value."""
+    if not options:
+        return ranges
+    if ranges is None:
+        raise InputError(
+            f"reset: {', '.join(options)} can be set if the environment is made with "
+            "randomise={...}, for example randomise={}"
+        )
+    known = {field.name: getattr(ranges, field.name) for field in fields(ranges)}
+    given = {
+        name: (value, value) if isinstance(value, Real) else value
+        for name, value in options.items()
+    }
+    wanted = SandRanges.of({**known, **given})
+    wanted.check_within(ranges, "reset")
+    return wanted
 
 
 def told(

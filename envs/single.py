@@ -71,11 +71,23 @@ class SandEnv(gym.Env[np.ndarray, np.ndarray]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Begin an episode; `options` are not used."""
-        super().reset(seed=seed)
+        """Begin an episode.
+
+        Args:
+            seed: seed of the random generator; None to go on.
+            options: ranges for this episode in place of `randomise`, by the names of `SandRanges`:
+                {"strength": 0.5, "slope": (0, 0.1), "media": ("poppy_seed_loose",)}.
+
+        Raises:
+            UnknownNameError: another option; lists those that there are.
+            InputError: a value outside its range, sand that the model was not made for, or an
+                environment without `randomise`.
+        """
         task, model, data = self.task, self.model, self.data
+        ranges = task.ranges(options)
+        super().reset(seed=seed)
         random = self.np_random
-        sample = task.sample(random, self._episodes)
+        sample = task.sample(random, self._episodes, ranges)
         self._episodes += 1
         start = task.begin(random, sample)
         mujoco.mj_resetData(model, data)

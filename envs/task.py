@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
@@ -37,6 +37,7 @@ from mjgranular.envs.ranges import (
     lay,
     next_ranges,
     ranges_of,
+    ranges_of_reset,
     sands_of,
     told,
 )
@@ -288,19 +289,32 @@ class Task(SandSpec, ABC):
         """Return the state of one simulation: views of its data with a leading axis of one."""
         return self.new_state({name: getattr(data, name)[None] for name in self.bound})
 
-    def sample(self, random: np.random.Generator, episode: int) -> Sample | None:
+    def ranges(self, options: Mapping[str, Any] | None) -> SandRanges | None:
+        """Return the ranges for one episode from the options of a reset: `randomise` by default.
+
+        Raises:
+            UnknownNameError: an option that is not a field of `SandRanges`; lists them.
+            InputError: a value outside its range, or sand that the model was not made for.
+        """
+        return ranges_of_reset(self.randomise, options or {})
+
+    def sample(
+        self, random: np.random.Generator, episode: int, ranges: SandRanges | None
+    ) -> Sample | None:
         """Sample the sand of an episode; return None for a fixed sand.
 
         Args:
             random: random generator of the simulation.
             episode: number of episodes that it has begun.
+            ranges: what to sample from; the curriculum acts on `randomise` alone.
 
         Raises:
             InputError: the curriculum returns ranges beyond those that the model was made for.
         """
-        if self.randomise is None:
+        if ranges is None:
             return None
-        ranges = next_ranges(self.randomise, self.curriculum, episode)
+        if ranges is self.randomise:
+            ranges = next_ranges(ranges, self.curriculum, episode)
         return draw(ranges, self.choices, random, span=self.dunes.wavelength)
 
     def lay(

@@ -12,6 +12,7 @@ from gymnasium.vector.utils import batch_space
 
 from mjgranular._util.checks import check_count, kind_of
 from mjgranular.envs.cameras import RENDER_MODES, Cameras
+from mjgranular.envs.ranges import SandRanges
 from mjgranular.envs.task import Task, check_actions
 from mjgranular.envs.tasks import get_task
 from mjgranular.errors import InputError, UnknownNameError
@@ -125,9 +126,12 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
         Args:
             seed: seed of the first simulation, followed by consecutive ones; or one for each.
-            options: `reset_mask`, a bool for each simulation, resets some; other options are
-                ignored.
+            options: `reset_mask`, a bool for each simulation, resets some; others are those of
+                `SandEnv.reset`, for the episodes that begin.
         """
+        others = dict(options or {})
+        mask = others.pop("reset_mask", None)
+        ranges = self.task.ranges(others)
         if seed is None:
             seeds: list[int | None] = [None] * self.num_envs
         elif isinstance(seed, (int, np.integer)):
@@ -139,8 +143,8 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if len(seeds) != self.num_envs:
             raise InputError(f"{self.num_envs} simulations need as many seeds, not {len(seeds)}")
         chosen = np.ones(self.num_envs, bool)
-        if options is not None and "reset_mask" in options:
-            chosen = np.asarray(options["reset_mask"])
+        if mask is not None:
+            chosen = np.asarray(mask)
             if chosen.shape != (self.num_envs,) or chosen.dtype != bool or not chosen.any():
                 raise InputError(
                     f"reset_mask must be {self.num_envs} bools of which one is true, not {chosen}"
@@ -148,7 +152,7 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         for number in np.flatnonzero(chosen):
             if seeds[number] is not None:
                 self._randoms[number], self._seeds[number] = seeding.np_random(seeds[number])
-        self._begin(np.flatnonzero(chosen))
+        self._begin(np.flatnonzero(chosen), ranges)
         info: dict[str, Any] = {}
         _add(info, self.task.reset_info(self._state), chosen)
         return self.task.observation(self._state), info
@@ -186,13 +190,13 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             truncated = self._elapsed >= self.max_episode_steps
         info: dict[str, Any] = {}
         if again.any():
-            self._begin(np.flatnonzero(again))
+            self._begin(np.flatnonzero(again), task.randomise)
             rewards[again] = 0.0
             terminated[again] = truncated[again] = False
         over = terminated | truncated
         if self.autoreset_mode is AutoresetMode.SAME_STEP and over.any():
             self._finish(info, over, only_step)
-            self._begin(np.flatnonzero(over))
+            self._begin(np.flatnonzero(over), task.randomise)
             _add(info, only_step, ~over)
             _add(info, task.reset_info(state), np.ones(self.num_envs, bool))
             self._over = np.zeros(self.num_envs, bool)
@@ -233,13 +237,13 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             self._randoms[number] = random
         return random
 
-    def _begin(self, ids: np.ndarray) -> None:
+    def _begin(self, ids: np.ndarray, ranges: SandRanges | None) -> None:
         """Begin episodes of some simulations."""
         task, state = self.task, self._state
         samples, starts = [], []
         for number in ids:
             random = self._random(number)
-            sample = task.sample(random, int(self._episodes[number]))
+            sample = task.sample(random, int(self._episodes[number]), ranges)
             samples.append(sample)
             starts.append(task.begin(random, sample))
         self._episodes[ids] += 1

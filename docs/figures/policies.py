@@ -32,6 +32,7 @@ GROUNDS = {
     "its own, time steps half as long": HALVED,
     "its own, under the quasi-static law": "law=rft3d",
     "its own, with memory": "memory=true",
+    "as drawn in training": "randomise={strength=[0.5,2.0],density=[0.5,2.0],slope=[-0.1,0.1]}",
     "half as strong": "randomise={strength=[0.5,0.5]}",
     "twice as strong": "randomise={strength=[2.0,2.0]}",
     "0.1 rad uphill": "randomise={slope=[0.1,0.1]}",
@@ -58,6 +59,7 @@ def measure(run: Run, name: str, variant: str) -> dict[str, float]:
     """Means over ten episodes of one policy on one ground."""
     policy = load_policy(name)
     arguments: dict[str, Any] = dict(run.settings.environment)
+    arguments.pop("randomise", None)  # sand as measured, unless the variant draws it
     if variant == HALVED:
         arguments["frame_skip"] = 2 * tasks[name_of(run.environment)].frame_skip
 
@@ -111,7 +113,7 @@ def table(environment: str, members: list[tuple[str, Run]], store: dict[str, Any
     """Prints the table of one environment."""
     own = own_medium(environment)
     grounds = GROUNDS | {f"`{name}`": f"medium={name}" for name in MEDIA if name != own}
-    print(f"\n### {environment}, {len(members)} policies, trained on {own}\n")
+    print(f"\n### {environment}, {len(members)} policies, trained on drawn {own}\n")
     print("| on | return | steps | speed [m/s] | law held |\n|---|---|---|---|---|")
     for ground, variant in grounds.items():
         if not is_asked(environment, ground):

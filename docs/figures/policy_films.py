@@ -74,7 +74,9 @@ def environment(policy: Policy) -> Any:
         task = Walk(push_scale=0.0, memory=0.015)
         return SandEnv(task, render_mode="rgb_array", width=1280, height=720)
     size = {"width": WIDTH, "height": HEIGHT, "camera": None}
-    return environments.for_filming(name, policy.run.settings.environment, **size)
+    arguments = dict(policy.run.settings.environment)
+    arguments.pop("randomise", None)
+    return environments.for_filming(name, arguments, **size)
 
 
 def labeled(frame: np.ndarray, info: dict[str, Any]) -> np.ndarray:

@@ -180,6 +180,41 @@ def test_a_batch_asks_a_curriculum_for_each_simulation():
     assert info["sand/slope"] == pytest.approx([0.01, 0.01])
 
 
+def test_a_reset_sets_the_sand_of_one_episode():
+    env = gym.make(id_of("Hexapod"), randomise=EVERYTHING)
+    asked = {"strength": 0.6, "slope": (0.1, 0.2), "media": ("poppy_seed_loose",)}
+    for seed in range(4):
+        _, info = env.reset(seed=seed, options=asked)
+        assert info["sand/strength"] == 0.6
+        assert 0.1 <= info["sand/slope"] <= 0.2
+        assert info["sand/medium"] == "poppy_seed_loose"
+    assert env.reset(seed=3)[1]["sand/strength"] != 0.6
+    same = gym.make(id_of("Hexapod"), randomise=EVERYTHING)
+    assert np.array_equal(same.reset(seed=3)[0], env.reset(seed=3, options={})[0])
+    with pytest.raises(InputError, match="media of reset have 'glass_beads', which randomise"):
+        env.reset(options={"media": ("glass_beads",)})
+    with pytest.raises(InputError, match="strength must be positive"):
+        env.reset(options={"strength": -1.0})
+    with pytest.raises(UnknownNameError, match=r"'strenght'.*strength"):
+        env.reset(options={"strenght": 1.0})
+    with pytest.raises(InputError, match=r"made with randomise=.*randomise=\{\}"):
+        SandEnv("Hexapod").reset(options={"strength": 0.5})
+    fixed = SandEnv("Hexapod", randomise={})
+    assert fixed.reset(seed=0, options={"density": 2})[1]["sand/density"] == 2.0
+
+
+@batches
+def test_a_reset_of_a_batch_sets_the_sand_of_those_that_begin():
+    batch = SandVectorEnv("Hexapod", 3, randomise=EVERYTHING)
+    batch.reset(seed=0)
+    options = {"strength": 0.6, "reset_mask": np.array([True, False, True])}
+    _, info = batch.reset(options=options)
+    assert list(info["sand/strength"] == 0.6) == [True, False, True]
+    assert set(options) == {"strength", "reset_mask"}
+    with pytest.raises(UnknownNameError, match="strenght"):
+        batch.reset(options={"strenght": 1.0})
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
