@@ -1,4 +1,4 @@
-"""How well a Go1 follows commanded velocities, on sands and on a rigid floor.
+"""How well a Go1 or a Go2 follows commanded velocities, on sands and on a rigid floor.
 
     python benchmarks/velocity.py runs/Go1Velocity-v0-ppo-0
     python benchmarks/velocity.py Go1Velocity-v0/ppo-0 --episodes 8 --seconds 10
@@ -11,20 +11,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, cast
 
 import numpy as np
 import tyro
 
+from mjgranular.envs import tasks
+from mjgranular.envs.ids import name_of
 from mjgranular.envs.vector import SandVectorEnv
 from mjgranular.envs.velocity import Go1Velocity
 from mjgranular.learn.policies import Policy, load_policy
-
-
-class HalfStep(Go1Velocity):
-    """The same at half the time step."""
-
-    timestep = 0.0025
 
 
 def drawn(name: str, value: float) -> dict[str, Any]:
@@ -32,6 +28,7 @@ def drawn(name: str, value: float) -> dict[str, Any]:
     return {"randomise": {name: (value, value)}}
 
 
+HALVED = "half the time step"
 GROUNDS: dict[str, dict[str, Any]] = {
     "Quikrete medium sand": {},
     "close poppy seeds": {"medium": "poppy_seed_close"},
@@ -41,7 +38,7 @@ GROUNDS: dict[str, dict[str, Any]] = {
     "slope of 10 degrees": drawn("slope", math.radians(10)),
     "from a rigid floor to sand": {"rigid": 0.3},
     "a rigid floor": {"rigid": math.inf},
-    "half the time step": {"task": HalfStep, "frame_skip": 8},
+    HALVED: {"frame_skip": 2 * Go1Velocity.frame_skip},
     "with memory": {"memory": True},
 }
 
@@ -81,10 +78,14 @@ def follow(policy: Policy, task: Go1Velocity, episodes: int, seconds: float) -> 
 def main(options: Options) -> None:
     """Print the table."""
     policy = load_policy(options.policy)
+    robot = cast(type[Go1Velocity], tasks[name_of(policy.run.environment)])
+    halved = type("Halved", (robot,), {"timestep": robot.timestep / 2})
+    history = policy.run.settings.environment.get("history", 0)
     print("| ground | error [m/s] | of yaw [rad/s] | falls |\n|---|---|---|---|")
     for name, ground in GROUNDS.items():
-        fields = {"push_scale": options.push_scale, "law": options.law} | ground
-        task = fields.pop("task", Go1Velocity)(**fields)
+        task = (halved if name == HALVED else robot)(
+            push_scale=options.push_scale, law=options.law, history=history, **ground
+        )
         speed, yaw, falls = follow(policy, task, options.episodes, options.seconds)
         print(f"| {name} | {speed:.3f} | {yaw:.3f} | {100 * falls:.0f} % |", flush=True)
 

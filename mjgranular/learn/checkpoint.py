@@ -28,7 +28,6 @@ from mjgranular.learn.settings import Settings
 from mjgranular.learn.weights import add_spaces, check_spaces, read_weights
 
 _NUMBERS = ("count", "clip", "epsilon", "return_mean", "return_variance", "return_count")
-_FEW = 10_000.0  # observations that scales are from, where they are to change soon; chosen
 _REPLAY_ARRAYS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 
 # State of the running episodes, which a checkpoint does not keep: see `callback.restart_episodes`.
@@ -175,13 +174,12 @@ class Normalizer:
         env.ret_rms.count = self.return_count
 
     def widened(self, size: int) -> Normalizer:
-        """Return statistics of more observations; the scales of the new ones are found quickly."""
+        """Return statistics of more observations, of which the new ones are not scaled at first."""
         more = size - len(self.mean) if self.observations else 0
         return replace(
             self,
             mean=np.concatenate([self.mean, np.zeros(more)]),
             variance=np.concatenate([self.variance, np.ones(more)]),
-            count=min(self.count, _FEW),
         )
 
     def as_json(self) -> dict[str, Any]:
