@@ -48,9 +48,17 @@ class SandVecEnv(VecEnv):
         super().__init__(batch.num_envs, batch.single_observation_space, batch.single_action_space)
 
     def reset(self) -> np.ndarray:
-        """Begin all episodes, with the seeds of the last `seed`."""
+        """Begin all episodes, with the seeds of the last `seed` and the last `set_options`.
+
+        Raises:
+            InputError: `set_options` has set other options for some simulations than for others.
+        """
         seeds, self._next_seeds = self._next_seeds, [None] * self.num_envs
-        observations, info = self.batch.reset(seed=list(seeds))
+        options = self._options[0]
+        if any(each != options for each in self._options):
+            raise InputError("the simulations of a batch share set_options: give one dictionary")
+        self._reset_options()
+        observations, info = self.batch.reset(seed=list(seeds), options=options)
         self.reset_infos = _split(info, np.ones(self.num_envs, bool))
         return observations
 

@@ -184,6 +184,18 @@ def test_methods_act_on_the_simulations_that_are_named():
             call("render_mode", None, indices=2)
 
 
+def test_options_of_stable_baselines_are_for_the_next_reset():
+    env = make_vec_env(id_of("Hexapod"), 2, randomise={"strength": (0.5, 2.0)})
+    env.set_options({"strength": 0.6})
+    env.reset()
+    assert [info["sand/strength"] for info in env.reset_infos] == [0.6, 0.6]
+    env.reset()
+    assert all(info["sand/strength"] != 0.6 for info in env.reset_infos)
+    env.set_options([{"strength": 0.6}, {"strength": 0.7}])
+    with pytest.raises(InputError, match="share set_options"):
+        env.reset()
+
+
 @pytest.mark.slow
 def test_stable_baselines_learns_on_it():
     batch = make_vec_env(id_of("LinkDrop"), 4, seed=0, frame_skip=20)
