@@ -155,6 +155,8 @@ class Run:
             command, stdout=subprocess.PIPE, stderr=log, text=True, start_new_session=True
         ) as child:
             self.children.add(child)
+            if self.stopped:  # between the last case and this process
+                child.kill()
             assert child.stdout is not None
             for line in child.stdout:
                 yield json.loads(line)
