@@ -173,12 +173,7 @@ def test_no_sand_beside_a_bed(law, place):
 
 
 @pytest.mark.parametrize("place", [(0.54, 0, -0.02), (0.54, 0, 3), (0, 0.34, -3), (0, -0.32, 0.2)])
-@pytest.mark.parametrize(
-    "law",
-    [
-        *LAWS,
-    ],
-)
+@pytest.mark.parametrize("law", ["link", "link_distributed", "rft3d", "depth_velocity"])
 def test_no_sand_near_the_edge_of_a_bed(law, place):
     # Nearer to the edge than the body is long, with nothing of its axis above or in the bed.
     sand = Sand(
