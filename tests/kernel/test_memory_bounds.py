@@ -321,7 +321,7 @@ spec = mujoco.MjSpec.from_string(
     "<mujoco><worldbody><body><freejoint/><geom type='capsule' size='.1 .1'/></body></worldbody>"
     "</mujoco>"
 )
-add_sand(spec, surface=Faulty(), law="link", scheme="explicit")
+add_sand(spec, surface=Faulty(), law="depth_velocity linear=1", scheme="explicit")
 model = spec.compile()
 try:
     mujoco.mj_step(model, mujoco.MjData(model))
