@@ -1,5 +1,7 @@
 """The kernels of a law, called from Python with arrays of numbers."""
 
+from functools import cache
+
 import numpy as np
 from numba import njit
 
@@ -21,6 +23,7 @@ def pose_of(numbers):
     )
 
 
+@cache  # compiled once for all tests
 class Kernels:
     """Of a law under a surface: samples are arrays of numbers, in the order of the fields."""
 
