@@ -675,27 +675,31 @@ def test_meshes_of_the_test_itself(name):
 
 
 @cache
-def true_forces(name, law, submerged, count=30):
+def true_forces(name, law, count=30):
     """Poses, motions and the fine mesh's force; and its force when pressed straight down.
 
     Orientations and directions are random; depths are so that the body is wholly in the sand, or a
-    quarter to all of its height.
+    quarter to all of its height: the cases of both, by `submerged`.
     """
-    rng = np.random.default_rng(0)
     vertices, faces = fine_mesh(name)
     mesh = Pushed(mesh_model(vertices, faces), FINE[law])
-    cases = []
-    for _ in range(count):
-        quaternion, velocity = drawn_rotation(rng), drawn_direction(rng)
-        heights = vertices @ matrix(quaternion)[2]
-        low, high = heights.min(), heights.max()
-        depth = (
-            high + rng.uniform(0, 0.1) if submerged else low + rng.uniform(0.25, 1) * (high - low)
-        )
-        place = (np.array([0, 0, -depth]), quaternion)
-        pressed = np.linalg.norm(mesh.force(*place, [0, 0, -1]))
-        cases.append(((*place, velocity), mesh.force(*place, velocity), pressed))
-    return cases
+    both = {}
+    for submerged in (True, False):
+        rng = np.random.default_rng(0)
+        cases = both[submerged] = []
+        for _ in range(count):
+            quaternion, velocity = drawn_rotation(rng), drawn_direction(rng)
+            heights = vertices @ matrix(quaternion)[2]
+            low, high = heights.min(), heights.max()
+            depth = (
+                high + rng.uniform(0, 0.1)
+                if submerged
+                else low + rng.uniform(0.25, 1) * (high - low)
+            )
+            place = (np.array([0, 0, -depth]), quaternion)
+            pressed = np.linalg.norm(mesh.force(*place, [0, 0, -1]))
+            cases.append(((*place, velocity), mesh.force(*place, velocity), pressed))
+    return both
 
 
 def force_errors(name, law, resolution=None, *, submerged):
@@ -706,7 +710,7 @@ def force_errors(name, law, resolution=None, *, submerged):
     latter.
     """
     own, pressed = [], []
-    for state, true, down in true_forces(name, law, submerged):
+    for state, true, down in true_forces(name, law)[submerged]:
         error = np.linalg.norm(pushed(name, law, resolution).force(*state) - true)
         pressed.append(error / down)
         if np.linalg.norm(true) >= 0.1 * down:
@@ -768,7 +772,7 @@ def test_default_is_near_a_fine_mesh_and_three_times_it_nearer(name, law, submer
 )
 def test_total_force_converges(name, law):
     # To a still finer cut: the fine mesh itself is up to 0.2 % off.
-    states = [state for state, _, _ in true_forces(name, law, True)]
+    states = [state for state, _, _ in true_forces(name, law)[True]]
     coarse, fine, finest = (
         np.array([pushed(name, law, n).force(*state) for state in states]) for n in (12, 48, 144)
     )
