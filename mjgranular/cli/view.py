@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 import warnings
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import mujoco
 import tyro
@@ -18,6 +19,7 @@ from mjgranular.errors import FloorWarning, InputError
 from mjgranular.experiment.drop import Drop, loading, make_ready, read, start_from
 from mjgranular.experiment.ground import hide_replaced, refuse_floors
 from mjgranular.picture.viewer import Switch, check_display, follow, opened
+from mjgranular.picture.web import Page, check_address
 from mjgranular.render.scenery import place_sun
 from mjgranular.sand.prepare import fitted
 
@@ -43,20 +45,37 @@ class ViewCommand(options_of(Drop, without=_NOT_OPTIONS)):
     """Speed: 1 is real time, 0.1 a tenth of it."""
     duration: Annotated[float | None, tyro.conf.arg(metavar="S")] = None
     """Time after which the window closes by itself [s]. Default: never."""
+    web: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Serve a page for a browser instead, with pause, restart and speed; it needs no display."""
+    port: Annotated[int, tyro.conf.arg(metavar="N")] = 8080
+    """Port of the page."""
+    host: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = "127.0.0.1"
+    """Address of the page, by default for this computer and SSH tunnels to it."""
 
     def run(self) -> int:
         """Run the command."""
         for name, value in (("speed", self.speed), ("duration", self.duration)):
             if value is not None and not (math.isfinite(value) and value > 0):
                 raise InputError(f"the {name} must be positive and finite, got {value}")
-        check_display()
+        if self.web:
+            check_address(self.host, self.port)
+        elif (self.host, self.port) != (ViewCommand.host, ViewCommand.port):
+            raise InputError("--host and --port are for a page: use --web")
+        else:
+            check_display()
         model = self.load()
-        data = mujoco.MjData(model)
+        data, switch = mujoco.MjData(model), Switch(speed=self.speed)
         start_from(model, data, self.keyframe)
-        switch = Switch()
-        with opened(model, data, switch) as viewer:
-            err.print("Space: pause. Backspace: restart. Ctrl and mouse: pull a body.", style="dim")
-            follow(viewer, model, data, switch, speed=self.speed, duration=self.duration)
+        if self.web:
+            host = "localhost" if self.host == "127.0.0.1" else self.host
+            note = f"Open http://{host}:{self.port} in a browser. Ctrl-C ends it."
+            shown: Any = closing(Page(model, data, switch, self.host, self.port))
+        else:
+            note = "Space: pause. Backspace: restart. Ctrl and mouse: pull a body."
+            shown = opened(model, data, switch)
+        with shown as viewer:
+            err.print(note, style="dim")
+            follow(viewer, model, data, switch, duration=self.duration)
         return 0
 
     def load(self) -> mujoco.MjModel:

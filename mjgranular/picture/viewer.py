@@ -10,6 +10,7 @@ import time
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Any
 
 import mujoco
@@ -25,11 +26,17 @@ _SPACE = 32  # GLFW's number of the key
 _FILM = "`mjgranular drop MODEL.xml --out DIR --video` films a run without one"
 
 
+@dataclass
 class Switch:
-    """Pause switch of the simulation, toggled by a key."""
+    """What the user changes while a simulation runs.
 
-    def __init__(self) -> None:
-        self.held = False
+    Attributes:
+        held: whether it is paused.
+        speed: simulated time over real time.
+    """
+
+    held: bool = False
+    speed: float = 1.0
 
     def press(self, key: int) -> None:
         """React to a key."""
@@ -92,7 +99,6 @@ def follow(
     data: mujoco.MjData,
     switch: Switch,
     *,
-    speed: float = 1.0,
     duration: float | None = None,
 ) -> None:
     """Step a simulation in real time, and show it, until the viewer is closed.
@@ -103,20 +109,20 @@ def follow(
         viewer: a handle from `mujoco.viewer.launch_passive`.
         model: the model.
         data: its data.
-        switch: pauses the simulation.
-        speed: simulated time over real time.
+        switch: pauses the simulation, and sets its speed.
         duration: simulated time after which to end [s]; None for never.
     """
     opening = start = time.perf_counter()
     begin = last = data.time
+    speed = switch.speed
     while viewer.is_running():
         now = time.perf_counter()
         if duration is not None and now - opening > duration:
             return
         with viewer.lock():
             late = begin + speed * (now - start) - data.time > speed * _LATE
-            if switch.held or late or data.time < last:  # the last: it was reset
-                start, begin = now, data.time
+            if switch.held or late or data.time < last or speed != switch.speed:  # < last: reset
+                start, begin, speed = now, data.time, switch.speed
             if switch.held:
                 mujoco.mj_forward(model, data)  # shows perturbations while paused
             else:

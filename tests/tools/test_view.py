@@ -161,7 +161,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
 def test_the_simulation_goes_as_the_clock_does(clock: Clock, speed: float) -> None:
     model = mujoco.MjModel.from_xml_string(BLOCK)
     data = mujoco.MjData(model)
-    follow(Window(clock, 60, {}), model, data, Switch(), speed=speed)
+    follow(Window(clock, 60, {}), model, data, Switch(speed=speed))
     assert data.time == pytest.approx(59 * FRAME * speed, abs=1.5e-3)
 
 
