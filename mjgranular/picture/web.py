@@ -59,7 +59,8 @@ class Page:
         self._due, self._last = 0.0, (0.0, 0.0)
         self._drawn, self._meshes, self._old = None, [], []
         shown = copy.copy(model)  # mjviser changes it, shows every plane, and boxes without texture
-        shown.geom_type[(shown.geom_type == _PLANE) & (shown.geom_group == NOT_SHOWN)] = _SPHERE
+        hidden = (shown.geom_type == _PLANE) & (shown.geom_group == NOT_SHOWN)
+        shown.geom_type[hidden], shown.geom_rgba[hidden, 3] = _BOX, 0.0
         sand = [k for k in range(model.nmat) if model.material(k).name.endswith(MATERIAL)]
         beds = np.isin(shown.geom_matid, sand) & (shown.geom_type == _BOX)
         shown.geom_matid[beds], shown.geom_rgba[beds] = -1, COLOR
