@@ -22,6 +22,7 @@ from mjgranular.render.material import COLOR, MATERIAL, NOT_SHOWN, radius_of, te
 
 _WAIT, _SHARE = 0.1, 0.1  # of meshes of sand: time between two [s], share of all time; chosen
 _SUN = {"position": (7.0, -2.6, 6.6), "intensity": 3.0, "cast_shadow": True}  # low, to show relief
+_GAMMA = 2.2  # of screens: browsers take colors without it
 _WORLD = "/fixed_bodies"  # mjviser moves it so that the camera follows the robot
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION.value
 _GEOM = record_of("mjvGeom")
@@ -57,13 +58,13 @@ class Page:
         self._start = np.zeros(mujoco.mj_stateSize(model, _STATE))
         mujoco.mj_getState(model, data, self._start, _STATE)
         self._due, self._last = 0.0, (0.0, 0.0)
-        self._drawn, self._meshes, self._old = None, [], []
+        self._drawn, self._meshes, self._old, self._turn = None, [], [], 0
         shown = copy.copy(model)  # mjviser changes it, shows every plane, and boxes without texture
         hidden = (shown.geom_type == _PLANE) & (shown.geom_group == NOT_SHOWN)
         shown.geom_type[hidden], shown.geom_rgba[hidden, 3] = _BOX, 0.0
         sand = [k for k in range(model.nmat) if model.material(k).name.endswith(MATERIAL)]
         beds = np.isin(shown.geom_matid, sand) & (shown.geom_type == _BOX)
-        shown.geom_matid[beds], shown.geom_rgba[beds] = -1, COLOR
+        shown.geom_matid[beds], shown.geom_rgba[beds] = -1, np.power(COLOR, _GAMMA)
         rich.get_console().quiet = True  # viser prints to it
         self._server = server = _import("viser").ViserServer(host=host, port=port, verbose=False)
         self._robot = _import("mjviser").ViserMujocoScene(server, shown, num_envs=1)
@@ -127,16 +128,17 @@ class Page:
         """Draw sand that has changed; browsers show the old until they have read the new."""
         for mesh in self._old:
             mesh.remove()
-        self._old, drawn = [], (geoms.tobytes(), self._scene.skinvert.tobytes())
+        drawn = [geoms[name].tobytes() for name in ("pos", "mat", "size", "matid", "rgba")]
+        self._old, drawn = [], [*drawn, self._scene.skinvert.tobytes()]
         if drawn == self._drawn:
             return
-        self._drawn, self._old, self._meshes = drawn, self._meshes, []
+        self._drawn, self._old, self._meshes, self._turn = drawn, self._meshes, [], 1 - self._turn
         looks = geoms[["matid", "rgba"]]
         for look in np.unique(looks):
             material = self._material(look)
             parts = [self._surface(geom, material) for geom in geoms[looks == look]]
             mesh = _import("trimesh").util.concatenate(parts)
-            name = f"{_WORLD}/sand {time.perf_counter_ns()}"
+            name = f"{_WORLD}/sand {len(self._meshes)} {self._turn}"
             self._meshes.append(self._server.scene.add_mesh_trimesh(name, mesh, cast_shadow=False))
 
     def _surface(self, geom: np.void, material: Any) -> Any:
@@ -170,7 +172,7 @@ class Page:
             size = model.tex_height[k], model.tex_width[k], model.tex_nchannel[k]
             pixels = model.tex_data[model.tex_adr[k] :][: np.prod(size, dtype=int)]
             image = _import("PIL.Image").fromarray(pixels.reshape(size))
-        made, color = _import("trimesh").visual.material.PBRMaterial, look["rgba"].astype(float)
+        made, color = _import("trimesh").visual.material.PBRMaterial, look["rgba"] ** _GAMMA
         return made(
             baseColorTexture=image, baseColorFactor=color, metallicFactor=0.0, roughnessFactor=1.0
         )
