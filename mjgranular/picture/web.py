@@ -16,14 +16,13 @@ import rich
 
 from mjgranular._util.extras import require
 from mjgranular.errors import InputError
-from mjgranular.kernel.structs import record_of
+from mjgranular.kernel.structs import offset_of, record_of
 from mjgranular.picture.viewer import Switch
 from mjgranular.render.material import COLOR, MATERIAL, NOT_SHOWN, radius_of, texture_of
 
 _WAIT, _SHARE = 0.1, 0.1  # of meshes of sand: time between two [s], share of all time; chosen
-_SUN = {"position": (7.0, -2.6, 6.6), "intensity": 3.0, "cast_shadow": True}  # low, to show relief
-_GAMMA = 2.2  # of screens: browsers take colors without it
-_WORLD = "/fixed_bodies"  # mjviser moves it so that the camera follows the robot
+_SUN = {"position": (7.0, -2.6, 4.0), "intensity": 1.5, "cast_shadow": True}  # low, to show relief
+_GAMMA = 2.2  # of MuJoCo's colors; those of meshes in browsers are linear
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION.value
 _GEOM = record_of("mjvGeom")
 _KINDS = "PLANE", "HFIELD", "BOX", "SKIN", "ARROW", "SPHERE"
@@ -57,8 +56,8 @@ class Page:
         self._scene = mujoco.MjvScene(model, maxgeom=10_000)  # as in MuJoCo's viewer
         self._start = np.zeros(mujoco.mj_stateSize(model, _STATE))
         mujoco.mj_getState(model, data, self._start, _STATE)
-        self._due, self._last = 0.0, (0.0, 0.0)
-        self._drawn, self._meshes, self._old, self._turn = None, [], [], 0
+        self._due, self._last = 0.0, (0.0, 0.0)  # of meshes of sand: next time, last times
+        self._drawn, self._meshes, self._old, self._parity = None, [], [], 0
         shown = copy.copy(model)  # mjviser changes it, shows every plane, and boxes without texture
         hidden = (shown.geom_type == _PLANE) & (shown.geom_group == NOT_SHOWN)
         shown.geom_type[hidden], shown.geom_rgba[hidden, 3] = _BOX, 0.0
@@ -68,16 +67,19 @@ class Page:
         rich.get_console().quiet = True  # viser prints to it
         self._server = server = _import("viser").ViserServer(host=host, port=port, verbose=False)
         self._robot = _import("mjviser").ViserMujocoScene(server, shown, num_envs=1)
-        server.scene.configure_environment_map(environment_intensity=0.4)
+        self._world = world = (
+            self._robot.fixed_bodies_frame.name
+        )  # moved so that the camera follows
+        server.scene.configure_environment_map(environment_intensity=0.25)
         server.scene.configure_default_lights(False)
         server.scene.add_light_directional("/sun", **_SUN)
         width = model.vis.scale.forcewidth * model.stat.meansize
         self._arrows = server.scene.add_arrows(
-            f"{_WORLD}/forces", np.zeros((1, 2, 3)), (217, 89, 26), shaft_radius=width / 2,
+            f"{world}/forces", np.zeros((1, 2, 3)), (217, 89, 26), shaft_radius=width / 2,
             head_radius=width, head_length=2 * width,
         )  # fmt: skip
         self._dots = server.scene.add_point_cloud(
-            f"{_WORLD}/depth", np.zeros((1, 3)), (0, 0, 0), point_size=width, precision="float32"
+            f"{world}/depth", np.zeros((1, 3)), (0, 0, 0), point_size=width, precision="float32"
         )
         self._time = server.gui.add_text("Time", "", disabled=True)
         self._pause = server.gui.add_checkbox("Pause", switch.held)
@@ -102,13 +104,7 @@ class Page:
             mujoco.mj_setState(model, data, self._start, _STATE)
             mujoco.mj_forward(model, data)
         self._robot.update_from_mjdata(data)
-        kinds, option, camera = mujoco.mjtCatBit.mjCAT_DECOR, mujoco.MjvOption(), mujoco.MjvCamera()
-        mujoco.mjv_updateScene(model, data, option, None, camera, kinds.value, self._scene)
-        geoms = np.zeros(0, _GEOM)
-        if self._scene.ngeom:
-            begin = self._scene.geoms[0].pos.ctypes.data - _GEOM.fields["pos"][1]
-            memory = ctypes.c_char * (self._scene.ngeom * _GEOM.itemsize)
-            geoms = np.frombuffer(memory.from_address(begin), _GEOM)
+        geoms = self._decoration()
         arrows, dots = (geoms[geoms["type"] == kind] for kind in (_ARROW, _SPHERE))
         self._arrows.visible, self._dots.visible = bool(len(arrows)), bool(len(dots))
         if len(arrows):
@@ -124,6 +120,18 @@ class Page:
             self._last = now, data.time
             self._due = now + max(_WAIT, (time.perf_counter() - now) / _SHARE)
 
+    def _decoration(self) -> np.ndarray:
+        """Return the geoms that are drawn but not in the model: sand, arrows and dots."""
+        scene, option, camera = self._scene, mujoco.MjvOption(), mujoco.MjvCamera()
+        decor = mujoco.mjtCatBit.mjCAT_DECOR.value
+        mujoco.mjv_updateScene(self._model, self._data, option, None, camera, decor, scene)
+        if not scene.ngeom:
+            return np.zeros(0, _GEOM)
+        # The memory of all: MuJoCo's attributes take 0.1 ms per geom.
+        begin = scene.geoms[0].pos.ctypes.data - offset_of("mjvGeom", "pos")
+        memory = ctypes.c_char * (scene.ngeom * _GEOM.itemsize)
+        return np.frombuffer(memory.from_address(begin), _GEOM)
+
     def _draw_sand(self, geoms: np.ndarray) -> None:
         """Draw sand that has changed; browsers show the old until they have read the new."""
         for mesh in self._old:
@@ -132,13 +140,14 @@ class Page:
         self._old, drawn = [], [*drawn, self._scene.skinvert.tobytes()]
         if drawn == self._drawn:
             return
-        self._drawn, self._old, self._meshes, self._turn = drawn, self._meshes, [], 1 - self._turn
-        looks = geoms[["matid", "rgba"]]
-        for look in np.unique(looks):
-            material = self._material(look)
-            parts = [self._surface(geom, material) for geom in geoms[looks == look]]
+        self._drawn, self._old, self._meshes = drawn, self._meshes, []
+        self._parity = 1 - self._parity  # new meshes have other names than old ones
+        colors = geoms[["matid", "rgba"]]
+        for color in np.unique(colors):
+            material = self._material(color)
+            parts = [self._surface(geom, material) for geom in geoms[colors == color]]
             mesh = _import("trimesh").util.concatenate(parts)
-            name = f"{_WORLD}/sand {len(self._meshes)} {self._turn}"
+            name = f"{self._world}/sand {len(self._meshes)} {self._parity}"
             self._meshes.append(self._server.scene.add_mesh_trimesh(name, mesh, cast_shadow=False))
 
     def _surface(self, geom: np.void, material: Any) -> Any:
@@ -154,25 +163,29 @@ class Page:
             points, faces = points[used], faces.reshape(-1, 3)
             uv = model.skin_texcoord[model.skin_texcoordadr[k] + used] * geom["texrepeat"]
         else:
-            points = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * geom["size"]
-            faces = np.array([[0, 1, 2], [0, 2, 3]])
+            rows, columns, heights, size = 2, 2, np.zeros(4), geom["size"]
             if geom["type"] == _FIELD:
-                of_it = (model.geom_type == _FIELD) & (model.geom_dataid == geom["dataid"])
-                field = _import("mjviser.conversions").create_primitive_mesh(model, of_it.argmax())
-                points, faces = field.vertices, field.faces
+                k = int(geom["dataid"])
+                rows, columns = model.hfield_nrow[k], model.hfield_ncol[k]
+                size = model.hfield_size[k]
+                heights = model.hfield_data[model.hfield_adr[k] :][: rows * columns]
+            y, x = np.indices((rows, columns)).reshape(2, -1) / [[rows - 1], [columns - 1]] * 2 - 1
+            points = np.column_stack([x, y, heights]) * size[:3]
+            a = np.arange(rows * columns).reshape(rows, columns)[:-1, :-1].ravel()
+            faces = np.column_stack([a, a + 1, a + columns + 1, a + columns])
             points = geom["pos"] + points @ geom["mat"].reshape(3, 3).T
             uv = points[:, :2] * geom["texrepeat"] / 2  # MuJoCo repeats it over half the edges
         visual = trimesh.visual.TextureVisuals(uv=uv, material=material)
         return trimesh.Trimesh(points, faces, visual=visual, process=False)
 
-    def _material(self, look: np.void) -> Any:
-        """Return a material of the model."""
+    def _material(self, color: np.void) -> Any:
+        """Return a material of the model, in a color."""
         model, image = self._model, None
-        if (k := texture_of(model, int(look["matid"]))) >= 0:
+        if (k := texture_of(model, int(color["matid"]))) >= 0:
             size = model.tex_height[k], model.tex_width[k], model.tex_nchannel[k]
             pixels = model.tex_data[model.tex_adr[k] :][: np.prod(size, dtype=int)]
             image = _import("PIL.Image").fromarray(pixels.reshape(size))
-        made, color = _import("trimesh").visual.material.PBRMaterial, look["rgba"] ** _GAMMA
-        return made(
-            baseColorTexture=image, baseColorFactor=color, metallicFactor=0.0, roughnessFactor=1.0
+        new, factor = _import("trimesh").visual.material.PBRMaterial, color["rgba"] ** _GAMMA
+        return new(
+            baseColorTexture=image, baseColorFactor=factor, metallicFactor=0, roughnessFactor=1
         )
