@@ -53,7 +53,13 @@ class Page:
         self, model: mujoco.MjModel, data: mujoco.MjData, switch: Switch, host: str, port: int
     ) -> None:
         self._model, self._data, self._switch = model, data, switch
-        self._scene = mujoco.MjvScene(model, maxgeom=10_000)  # as in MuJoCo's viewer
+        self._scene = scene = mujoco.MjvScene(model, maxgeom=10_000)  # as in MuJoCo's viewer
+        decor = mujoco.mjtCatBit.mjCAT_DECOR.value  # what is not in the model: sand, arrows, dots
+        self._view = mujoco.MjvOption(), None, mujoco.MjvCamera(), decor
+        # All geoms in memory: MuJoCo's attributes of one take 0.1 ms each.
+        begin = scene.geoms[0].pos.ctypes.data - offset_of("mjvGeom", "pos")
+        memory = (ctypes.c_char * (scene.maxgeom * _GEOM.itemsize)).from_address(begin)
+        self._geoms = np.frombuffer(memory, _GEOM)
         self._start = np.zeros(mujoco.mj_stateSize(model, _STATE))
         mujoco.mj_getState(model, data, self._start, _STATE)
         self._due, self._last = 0.0, (0.0, 0.0)  # of meshes of sand: next time, last times
@@ -104,7 +110,8 @@ class Page:
             mujoco.mj_setState(model, data, self._start, _STATE)
             mujoco.mj_forward(model, data)
         self._robot.update_from_mjdata(data)
-        geoms = self._decoration()
+        mujoco.mjv_updateScene(model, data, *self._view, self._scene)
+        geoms = self._geoms[: self._scene.ngeom]
         arrows, dots = (geoms[geoms["type"] == kind] for kind in (_ARROW, _SPHERE))
         self._arrows.visible, self._dots.visible = bool(len(arrows)), bool(len(dots))
         if len(arrows):
@@ -119,18 +126,6 @@ class Page:
             self._time.value = f"{data.time:.2f} s, {rate:.2f} x real time"
             self._last = now, data.time
             self._due = now + max(_WAIT, (time.perf_counter() - now) / _SHARE)
-
-    def _decoration(self) -> np.ndarray:
-        """Return the geoms that are drawn but not in the model: sand, arrows and dots."""
-        scene, option, camera = self._scene, mujoco.MjvOption(), mujoco.MjvCamera()
-        decor = mujoco.mjtCatBit.mjCAT_DECOR.value
-        mujoco.mjv_updateScene(self._model, self._data, option, None, camera, decor, scene)
-        if not scene.ngeom:
-            return np.zeros(0, _GEOM)
-        # The memory of all: MuJoCo's attributes take 0.1 ms per geom.
-        begin = scene.geoms[0].pos.ctypes.data - offset_of("mjvGeom", "pos")
-        memory = ctypes.c_char * (scene.ngeom * _GEOM.itemsize)
-        return np.frombuffer(memory.from_address(begin), _GEOM)
 
     def _draw_sand(self, geoms: np.ndarray) -> None:
         """Draw sand that has changed; browsers show the old until they have read the new."""
