@@ -67,9 +67,9 @@ class ViewCommand(options_of(Drop, without=_NOT_OPTIONS)):
         data, switch = mujoco.MjData(model), Switch(speed=self.speed)
         start_from(model, data, self.keyframe)
         if self.web:
-            host = "localhost" if self.host == "127.0.0.1" else self.host
-            note = f"Open http://{host}:{self.port} in a browser. Ctrl-C ends it."
-            shown: Any = closing(Page(model, data, switch, self.host, self.port))
+            page = Page(model, data, switch, self.host, self.port)
+            note = f"Open {page.address} in a browser. Ctrl-C ends it."
+            shown: Any = closing(page)
         else:
             note = "Space: pause. Backspace: restart. Ctrl and mouse: pull a body."
             shown = opened(model, data, switch)

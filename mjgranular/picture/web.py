@@ -21,7 +21,7 @@ from mjgranular.picture.viewer import Switch
 from mjgranular.render.material import COLOR, MATERIAL, NOT_SHOWN, radius_of, texture_of
 
 _WAIT, _SHARE = 0.1, 0.1  # of meshes of sand: time between two [s], share of all time; chosen
-_SUN = {"position": (7.0, -2.6, 4.0), "intensity": 2.0, "cast_shadow": True}  # low, to show relief
+_SUN = {"position": (7.0, -2.6, 4.0), "intensity": 1.5, "cast_shadow": True}  # low, to show relief
 _GAMMA = 2.2  # of MuJoCo's colors; those of meshes in browsers are linear
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION.value
 _GEOM = record_of("mjvGeom")
@@ -73,10 +73,8 @@ class Page:
         rich.get_console().quiet = True  # viser prints to it
         self._server = server = _import("viser").ViserServer(host=host, port=port, verbose=False)
         self._robot = _import("mjviser").ViserMujocoScene(server, shown, num_envs=1)
-        self._world = world = (
-            self._robot.fixed_bodies_frame.name
-        )  # moved so that the camera follows
-        server.scene.configure_environment_map(environment_intensity=0.3)
+        self._world = world = self._robot.fixed_bodies_frame.name  # moves for the camera to follow
+        server.scene.configure_environment_map(environment_intensity=0.25)
         server.scene.configure_default_lights(False)
         server.scene.add_light_directional("/sun", **_SUN)
         width = model.vis.scale.forcewidth * model.stat.meansize
@@ -92,6 +90,12 @@ class Page:
         self._speed = server.gui.add_number("Speed", switch.speed, min=1e-3, step=1e-3)
         self._restart = server.gui.add_button("Restart")
         self._robot.create_scene_gui(camera_distance=3 * radius_of(model))
+
+    @property
+    def address(self) -> str:
+        """Address of the page, with another port if the requested one is taken by now."""
+        host = self._server.get_host()
+        return f"http://{'localhost' if host == '127.0.0.1' else host}:{self._server.get_port()}"
 
     def close(self) -> None:
         """End the page."""
