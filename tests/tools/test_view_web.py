@@ -158,7 +158,7 @@ def sunk(mesh: trimesh.Trimesh) -> int:
 
 def test_prints_are_shown_as_they_come(ball: Path, port: int) -> None:
     model = ViewCommand(model=ball, instead_of=("floor",), memory="0.02").load()
-    browser = shown(model, port, 40, qpos=model.key_qpos[0], qvel=model.key_qvel[0])
+    browser = shown(model, port, 150, qpos=model.key_qpos[0], qvel=model.key_qvel[0])
     meshes = browser.sand()
     assert sunk(meshes[0]) < sunk(meshes[-1])  # walls around the sand are sunk from the start
     names = [message["name"] for message in browser.received("GlbMessage", "/sand ")]
@@ -282,4 +282,4 @@ def test_an_interrupt_ends_it(ball: Path, port: int) -> None:
         assert any(f"localhost:{port}" in line for line in lines)
         command.send_signal(signal.SIGINT)
         assert command.wait(timeout=120) == 130
-        assert command.stderr.read() == "error: interrupted\n"
+        assert command.stderr.read().endswith("error: interrupted\n")
