@@ -240,7 +240,7 @@ class Go1Velocity(Task):
         parts = np.flatnonzero((model.geom_bodyid == 1) & (model.geom_conaffinity != 0))
         return -min(
             model.geom_pos[geom, 2] - np.abs(geom_axes(model, geom)[2]) @ model.geom_aabb[geom, 3:]
-            for geom in parts
+            for geom in parts.tolist()
         )
 
     @cached_property
