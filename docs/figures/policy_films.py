@@ -17,7 +17,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from mjgranular.envs.single import SandEnv
-from mjgranular.envs.velocity import Go1Velocity
+from mjgranular.envs.velocity import Go1Velocity, Go2Velocity
 from mjgranular.learn import environments
 from mjgranular.learn.policies import Policy, load_policy
 
@@ -48,7 +48,7 @@ class Shown:
 
 
 class Walk(Go1Velocity):
-    """The Go1 with the commands of its film: ahead, in a curve, ahead and to the left."""
+    """The Go1 with the commands of a film: ahead, in a curve, ahead and to the left."""
 
     def _draw_commands(self, random: np.random.Generator) -> np.ndarray:
         table = super()._draw_commands(random)
@@ -57,6 +57,11 @@ class Walk(Go1Velocity):
         return table
 
 
+class WalkGo2(Walk, Go2Velocity):
+    """The Go2 with the same commands."""
+
+
+FOLLOWING = {"mjgranular/Go1Velocity-v0": Walk, "mjgranular/Go2Velocity-v0": WalkGo2}
 SHOWN = {
     "ChainSwim": Shown("ChainSwim-v0/ppo-0"),
     "ChainCrawl": Shown("ChainCrawl-v0/ppo-1"),
@@ -64,14 +69,15 @@ SHOWN = {
     "Hopper": Shown("Hopper-v0/ppo-0"),
     "Ant": Shown("Ant-v0/ppo-0"),
     "Go1": Shown("Go1Velocity-v0/ppo-0", seconds=9.0, begin=2.0, apart=3.0, count=3),
+    "Go2": Shown("Go2Velocity-v0/ppo-0", seconds=9.0, begin=2.0, apart=3.0, count=3),
 }
 
 
 def environment(policy: Policy) -> Any:
-    """The environment of a film; that of the Go1 is larger, and its sand remembers."""
+    """The environment of a film; those of the Go1 and Go2 are larger, and their sand remembers."""
     name = policy.run.environment
-    if name.endswith("Go1Velocity-v0"):
-        task = Walk(push_scale=0.0, memory=0.015)
+    if name in FOLLOWING:
+        task = FOLLOWING[name](push_scale=0.0, memory=0.015)
         return SandEnv(task, render_mode="rgb_array", width=1280, height=720)
     size = {"width": WIDTH, "height": HEIGHT, "camera": None}
     arguments = dict(policy.run.settings.environment)
