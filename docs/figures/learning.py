@@ -12,7 +12,7 @@ from matplotlib import pyplot as plt
 from style import BLUE, GREEN, GREY, ORANGE, save
 
 from mjgranular.learn.policies import shipped_policies
-from mjgranular.learn.run import CURVE, Run, read_curve
+from mjgranular.learn.run import CURVE, Run, mean_returns, read_curve
 
 COLOURS = {"ppo": BLUE, "sac": ORANGE, "td3": GREEN}
 COLUMNS = 3
@@ -39,9 +39,9 @@ def main() -> None:
         for name, run in members:
             curve = read_curve(run.path / CURVE)
             colour = COLOURS.get(run.settings.algorithm, GREY)
-            steps, returns = [row[0] / 1e3 for row in curve], [row[3] for row in curve]
-            axis.plot(steps, returns, color=colour, linewidth=1.0)
-            minutes, end = curve[-1][1] / 60, 1e3 * steps[-1]
+            steps, returns = np.array(mean_returns(curve, run.settings.num_envs)).T
+            axis.plot(steps / 1e3, returns, color=colour, linewidth=1.0)
+            minutes, end = curve[-1][1] / 60, curve[-1][0]
             print(f"{name}: {last_return(run):.0f} after {end:.0f} steps, {minutes:.0f} min")
         axis.set(title=environment, xlabel="steps [thousands]")
     for axis in grid[:, 0]:

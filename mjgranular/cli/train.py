@@ -17,7 +17,7 @@ from mjgranular.cli.options import given_options, option
 from mjgranular.cli.results import Flag
 from mjgranular.errors import InputError, MissingExtraError, warn_user
 from mjgranular.learn import environments
-from mjgranular.learn.run import Run, begin_run, open_run
+from mjgranular.learn.run import Run, begin_run, mean_returns, open_run
 from mjgranular.learn.settings import change, find_settings
 from mjgranular.learn.train import Training, train
 
@@ -140,7 +140,8 @@ class TrainCommand:
     def _show(self, run: Run, training: Training) -> int:
         """Print the result; return the exit status."""
         progress, stopped_by = training.progress, training.stopped_by
-        newest = progress.curve[-1][3] if progress.curve else None
+        means = mean_returns(progress.curve, run.settings.num_envs)
+        newest = means[-1][1] if means else None
         if self.json:
             print_json(
                 {
@@ -174,8 +175,8 @@ def _draw_curve(run: Run, training: Training) -> None:
     """Draw mean return against steps if matplotlib is installed."""
     from mjgranular.picture.figures import PALETTE, figure
 
-    rows = training.progress.curve
-    thousands, returns = [row[0] / 1e3 for row in rows], [row[3] for row in rows]
+    means = mean_returns(training.progress.curve, run.settings.num_envs)
+    thousands, returns = [steps / 1e3 for steps, _ in means], [mean for _, mean in means]
 
     def draw(path: Path) -> None:
         with figure(path, 6.4, 4.0, run.name) as drawn:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -17,7 +18,7 @@ from mjgranular.learn.checkpoint import Progress, save_checkpoint
 from mjgranular.learn.run import CURVE, Run, curve_text
 
 _ROWS_PER_CHECKPOINT = 5  # of the learning curve
-_NEWEST = 20  # episodes in the mean return that is reported; chosen, not measured
+_NEWEST = 20  # episodes at least in the mean return that is reported; chosen, not measured
 
 Report = Callable[[int, float | None], None]
 """Called with the steps done and the mean return of the newest episodes (None before the first
@@ -42,7 +43,7 @@ class CheckpointCallback(BaseCallback):
         self._curve = list(start.curve)
         self._began = time.monotonic()
         self._ended: list[tuple[float, int]] = []  # return and length, since the last row
-        self._newest: float | None = None
+        self._newest = deque[float](maxlen=max(_NEWEST, run.settings.num_envs))
         self._plan(start.steps)
         # Rows after the checkpoint that is resumed belong to lost steps.
         self._write_curve()
@@ -66,9 +67,10 @@ class CheckpointCallback(BaseCallback):
         for info in self.locals["infos"]:
             if "episode" in info:
                 self._ended.append((float(info["episode"]["r"]), int(info["episode"]["l"])))
-                self._newest = float(np.mean([one for one, _ in self._ended[-_NEWEST:]]))
+                self._newest.append(self._ended[-1][0])
         if self._report is not None:
-            self._report(self.num_timesteps, self._newest)
+            mean = float(np.mean(self._newest)) if self._newest else None
+            self._report(self.num_timesteps, mean)
         self.stopped = bool(self._received)
         return not self.stopped
 

@@ -250,6 +250,21 @@ def curve_text(rows: Sequence[Sequence[float]]) -> str:
     return text.getvalue()
 
 
+def mean_returns(curve: Sequence[tuple[float, ...]], episodes: int) -> list[tuple[float, float]]:
+    """Return steps and mean returns of a learning curve, each over at least so many episodes.
+
+    At a checkpoint all episodes begin anew, so that those that end soon after it have failed: a row
+    of few episodes says little. What remains at the end is left out, unless it is all there is.
+    """
+    points, count, total = [], 0.0, 0.0
+    for steps, _, ended, mean, _ in curve:
+        count, total = count + ended, total + ended * mean
+        if count >= episodes:
+            points.append((steps, total / count))
+            count, total = 0.0, 0.0
+    return points or [(row[0], total / count) for row in curve[-1:]]
+
+
 def read_curve(file: Path) -> list[tuple[float, ...]]:
     """Read a learning curve; rows of `CURVE_COLUMNS`."""
     text = read_text(file)

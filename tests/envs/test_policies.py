@@ -72,7 +72,7 @@ def first_of(robot: str) -> str:
     return min(name for name in SHIPPED if name.startswith(f"{robot}-v0/"))
 
 
-def test_there_are_three_policies_for_each_of_five_robots_and_some_for_robots_to_buy():
+def test_there_are_three_policies_for_each_of_five_robots_and_some_that_follow_commands():
     robots = sorted(name.partition("-v0/")[0] for name in SHIPPED)
     three = ["ChainSwim", "ChainCrawl", "Hexapod", "Hopper", "Ant"]
     assert robots == sorted([*3 * three, "Go1Velocity", "Go1Velocity", "Go2Velocity"])

@@ -32,7 +32,7 @@ from mjgranular.learn.agents import Random, Zero
 from mjgranular.learn.checkpoint import Normalizer
 from mjgranular.learn.evaluate import evaluate, mean_of, parse_variant, run_episodes
 from mjgranular.learn.policies import POLICY_FILES, load_policy
-from mjgranular.learn.run import Run, begin_run, open_run
+from mjgranular.learn.run import Run, begin_run, mean_returns, open_run
 from mjgranular.learn.settings import (
     FOLDER,
     Settings,
@@ -184,6 +184,13 @@ def test_options_of_an_environment_may_be_infinite(tmp_path):
 def test_json_on_standard_output_has_words_for_infinite_numbers(capfd):
     print_json({"g": [math.inf, -math.inf, 1.5], "a": {"b": True}})
     assert json.loads(capfd.readouterr().out) == {"g": ["inf", "-inf", 1.5], "a": {"b": True}}
+
+
+def test_means_are_over_as_many_episodes_as_there_are_environments():
+    curve = [(10, 0.1, 1, 2.0, 5), (20, 0.2, 3, 10.0, 9), (30, 0.3, 4, 20.0, 9), (40, 0.4, 1, 0, 2)]
+    assert mean_returns(curve, 4) == [(20, 8.0), (30, 20.0)]
+    assert mean_returns(curve[:1], 4) == [(10, 2.0)]
+    assert mean_returns((), 4) == []
 
 
 @pytest.mark.slow
