@@ -241,12 +241,16 @@ def ranges_of_reset(ranges: SandRanges | None, options: Mapping[str, Any]) -> Sa
     """Return the ranges for one episode from the options of a reset; a number is a fixed value."""
     if not options:
         return ranges
+    names = [field.name for field in fields(SandRanges)]
+    for name in options:
+        if name not in names:
+            raise UnknownNameError("option of reset", name, names)
     if ranges is None:
         raise InputError(
             f"reset: {', '.join(options)} can be set if the environment is made with "
             "randomise={...}, for example randomise={}"
         )
-    known = {field.name: getattr(ranges, field.name) for field in fields(ranges)}
+    known = {name: getattr(ranges, name) for name in names}
     given = {
         name: (value, value) if isinstance(value, Real) else value
         for name, value in options.items()

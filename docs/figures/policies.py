@@ -113,7 +113,7 @@ def table(environment: str, members: list[tuple[str, Run]], store: dict[str, Any
     """Prints the table of one environment."""
     own = own_medium(environment)
     grounds = GROUNDS | {f"`{name}`": f"medium={name}" for name in MEDIA if name != own}
-    print(f"\n### {environment}, {len(members)} policies, trained on drawn {own}\n")
+    print(f"\n### {environment}, {len(members)} policies, {own}\n")
     print("| on | return | steps | speed [m/s] | law held |\n|---|---|---|---|---|")
     for ground, variant in grounds.items():
         if not is_asked(environment, ground):

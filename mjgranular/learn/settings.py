@@ -58,8 +58,8 @@ class Settings:
         checkpoint_every: steps from one checkpoint to the next.
         start_from: the policy to continue from, with its scales of observations: the folder of a
             run or the name of a policy of the package; None to start from random weights. It also
-            sets the noise, unless `policy` has `log_std_init`. Observations that it has not got
-            must be the last; their weights begin at zero.
+            sets the noise, unless `policy` has `log_std_init`. PPO: observations that it has
+            not got must be the last; their weights begin at zero.
         arguments: arguments of the algorithm's class. A learning rate or clip range "linear_3e-4"
             falls from there to zero; `action_noise` is the standard deviation of normal noise.
         policy: further arguments of the algorithm's policy, such as `log_std_init`.

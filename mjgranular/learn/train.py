@@ -177,7 +177,8 @@ def _take_over(where: str, run: Run, model: Any, env: Any) -> None:
     try:
         other = load_policy(where)
         old, new = (one.observation_space.shape for one in (other.model, env))
-        if not len(old) == len(new) == 1 or new[0] <= old[0]:
+        widens = run.settings.algorithm == "ppo" and len(old) == len(new) == 1 and new[0] > old[0]
+        if not widens or other.model.action_space.shape != env.action_space.shape:
             other.checked(run.environment, env)
     except GranularError as error:
         raise InputError(f"start_from: {error}") from None
@@ -190,11 +191,12 @@ def _take_over(where: str, run: Run, model: Any, env: Any) -> None:
         raise InputError(f"start_from: {where} has {theirs}, but this run has {ours}")
     try:
         weights, normalizer = dict(other.model.state_dict()), other.normalizer
-        if new != old:
+        if widens:
             _widen(weights, model.policy.state_dict(), old[0], new[0])
             normalizer = normalizer.widened(new[0])
-        if "log_std_init" in run.settings.policy and "log_std" in weights:
-            weights["log_std"] = model.policy.log_std
+        if "log_std_init" in run.settings.policy:
+            own = model.policy.state_dict()
+            weights |= {name: own[name] for name in weights if name.endswith("log_std")}
         model.policy.load_state_dict(weights)
     except RuntimeError:
         raise InputError(

@@ -12,8 +12,8 @@ import pytest
 from mjgranular.kernel import digest
 
 PACKAGE = Path(digest.__file__).parents[1]
-OTHERS = ("calibrate", "warp")
-"""Folders that call programs, or read the source of kernels, and make none that numba compiles."""
+OTHERS = ("calibrate", "picture", "warp")
+"""Folders that call programs, or read structs or the source of kernels, and make none for numba."""
 
 
 def folders_with_kernels():
