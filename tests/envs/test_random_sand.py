@@ -264,9 +264,7 @@ def test_wrong_input_is_told():
         randomise=SandRanges(media=("quikrete_medium",)),
         curriculum=lambda episode: SandRanges(media=("glass_beads",)),
     )
-    with pytest.raises(
-        InputError, match="media of the curriculum have 'glass_beads', which"
-    ):
+    with pytest.raises(InputError, match="media of the curriculum have 'glass_beads', which"):
         env.reset(seed=0)
 
 
