@@ -53,12 +53,12 @@ class SandVecEnv(VecEnv):
         Raises:
             InputError: `set_options` has set other options for some simulations than for others.
         """
-        seeds, self._next_seeds = self._next_seeds, [None] * self.num_envs
         options = self._options[0]
         if any(each != options for each in self._options):
             raise InputError("the simulations of a batch share set_options: give one dictionary")
+        observations, info = self.batch.reset(seed=list(self._next_seeds), options=options)
         self._reset_options()
-        observations, info = self.batch.reset(seed=list(seeds), options=options)
+        self._next_seeds = [None] * self.num_envs
         self.reset_infos = _split(info, np.ones(self.num_envs, bool))
         return observations
 

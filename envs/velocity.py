@@ -322,7 +322,7 @@ class Go1Velocity(Task):
         applied = np.clip(action, -1.0, 1.0).astype(float)
         if self.history:
             past = state.userdata[:, _PAST]
-            past[:] = np.concatenate([self._sense(state), past[:, :-_SENSED]], axis=1)
+            past[:] = np.concatenate([self._sensed(state), past[:, :-_SENSED]], axis=1)
         state.userdata[:, _ACTION] = applied
         state.userdata[:, _STEP] += 1
         self._push(state)
@@ -365,8 +365,12 @@ class Go1Velocity(Task):
     def observe(self, state: State) -> np.ndarray:
         past = state.userdata[:, _PAST]
         return np.concatenate(
-            [self._sense(state), self.command(state), self._clock(state), past], axis=1
+            [self._sensed(state), self.command(state), self._clock(state), past], axis=1
         )
+
+    def _sensed(self, state: State) -> np.ndarray:
+        """Return `_sense`, computed once for the observation and for the past of the next."""
+        return self.once(state, "sensed", self._sense)
 
     def _sense(self, state: State) -> np.ndarray:
         """Return what the robot measures, and its last action, shape (n, _SENSED)."""

@@ -18,7 +18,9 @@ from mjgranular.learn.checkpoint import Progress, save_checkpoint
 from mjgranular.learn.run import CURVE, Run, curve_text
 
 _ROWS_PER_CHECKPOINT = 5  # of the learning curve
-_NEWEST = 20  # episodes at least in the mean return that is reported; chosen, not measured
+# Episodes in the mean return that is reported, or as many as there are environments, if these are
+# more; chosen, not measured.
+_NEWEST = 20
 
 Report = Callable[[int, float | None], None]
 """Called with the steps done and the mean return of the newest episodes (None before the first
@@ -44,6 +46,7 @@ class CheckpointCallback(BaseCallback):
         self._began = time.monotonic()
         self._ended: list[tuple[float, int]] = []  # return and length, since the last row
         self._newest = deque[float](maxlen=max(_NEWEST, run.settings.num_envs))
+        self._mean: float | None = None  # of these
         self._plan(start.steps)
         # Rows after the checkpoint that is resumed belong to lost steps.
         self._write_curve()
@@ -64,13 +67,13 @@ class CheckpointCallback(BaseCallback):
                 policy.reset_noise(self.training_env.num_envs)
 
     def _on_step(self) -> bool:
-        for info in self.locals["infos"]:
-            if "episode" in info:
-                self._ended.append((float(info["episode"]["r"]), int(info["episode"]["l"])))
-                self._newest.append(self._ended[-1][0])
+        ended = [info["episode"] for info in self.locals["infos"] if "episode" in info]
+        if ended:
+            self._ended += [(float(one["r"]), int(one["l"])) for one in ended]
+            self._newest.extend(float(one["r"]) for one in ended)
+            self._mean = float(np.mean(self._newest))
         if self._report is not None:
-            mean = float(np.mean(self._newest)) if self._newest else None
-            self._report(self.num_timesteps, mean)
+            self._report(self.num_timesteps, self._mean)
         self.stopped = bool(self._received)
         return not self.stopped
 

@@ -95,7 +95,8 @@ class Page:
     def address(self) -> str:
         """Address of the page, with another port if the requested one is taken by now."""
         host = self._server.get_host()
-        return f"http://{'localhost' if host == '127.0.0.1' else host}:{self._server.get_port()}"
+        names = {"127.0.0.1": "localhost", "0.0.0.0": socket.gethostname()}
+        return f"http://{names.get(host, host)}:{self._server.get_port()}"
 
     def close(self) -> None:
         """End the page."""

@@ -49,15 +49,25 @@ REST = 5e-3
 def slope_to(height, other, sign, level):
     """Return the slope along an axis from a node to its neighbor; `level` if that is NaN.
 
-    Heights are over the plane [cells]; `sign` is 1 if the neighbor is ahead along the axis, else
-    -1.
+    Args:
+        height: height of the node over the plane [cells].
+        other: height of the neighbor; NaN where nothing flows.
+        sign: 1 if the neighbor is ahead along the axis, -1 if behind.
+        level: slope of level sand.
     """
     return sign * (other - height) if other == other else level
 
 
 @partial(compiled, inline=True)
 def excess_of(a, b, up, tangent):
-    """Return by how much a triangle is steeper than repose; convex in its slopes a and b."""
+    """Return by how much a triangle is steeper than repose; convex in its slopes.
+
+    Args:
+        a: slope along the first axis of the plane.
+        b: slope along the second.
+        up: upward direction along the axes of the plane, a vector.
+        tangent: tangent of the angle of repose.
+    """
     rise = up.z - a * up.x - b * up.y  # of the normal (-a, -b, 1) along gravity
     return math.sqrt(max(1.0 + a * a + b * b - rise * rise, 0.0)) - tangent * rise
 
@@ -66,8 +76,14 @@ def excess_of(a, b, up, tangent):
 def gains_of(a, b, up, tangent, ahead, beside, rate):
     """Return the heights that the node of a steep triangle loses to its two neighbors [cells].
 
-    The first is `ahead` (1), behind (-1), or nothing flows there (0); likewise the second `beside`.
-    The fraction of the step that would end the excess, `rate`, is below 2.
+    Args:
+        a: slope along the first axis of the plane.
+        b: slope along the second.
+        up: upward direction along the axes of the plane, a vector.
+        tangent: tangent of the angle of repose.
+        ahead: 1 if the first neighbor is ahead, -1 if behind, 0 if nothing flows there.
+        beside: the same of the second.
+        rate: fraction of the step that would end the excess; below 2.
     """
     excess = excess_of(a, b, up, tangent)
     rise = up.z - a * up.x - b * up.y
@@ -84,12 +100,25 @@ def flow_kernel(level: Any, is_flat: bool) -> Any:
     """Make a kernel `flow(state, relief, rate)`: sand flows down where it is too steep.
 
     Nothing flows from or to a node under a body.
+
+    Args:
+        level: see `level_kernel`.
+        is_flat: whether the surface is locally plane.
     """
     room = scratch(18)
 
     @partial(compiled, inline=True)
     def flow_in_square(around, gained, first, up, tangent, rate):
-        """Level the steepest triangle of the square that begins at node `first` of nine."""
+        """Level the steepest triangle of a square.
+
+        Args:
+            around: heights of nine nodes [cells], row by row.
+            gained: heights that they have gained [cells].
+            first: the first node of the square.
+            up: upward direction along the axes of the plane.
+            tangent: tangent of the angle of repose.
+            rate: see `gains_of`.
+        """
         steepest, corner = REST, -1
         flat_a, flat_b = -up.x / up.z, -up.y / up.z
         for k in range(4):

@@ -74,14 +74,18 @@ def _placed(data: mujoco.MjData, facets: np.ndarray) -> tuple[np.ndarray, np.nda
 
 
 def join_faces(model: mujoco.MjModel, data: mujoco.MjData, facets: np.ndarray) -> None:
-    """Set `face`, the width of the face that each facet belongs to, and close narrow gaps (`area`).
+    """Set the width of the face that each facet belongs to, and close narrow gaps in flat faces.
 
     A flat face is the union of the coplanar, adjacent facets of a rigid body. Its width is its area
     over its length, and its length that of a rod with the same greatest radius of gyration: the
     shorter side of a rectangle. A curved surface is as wide as its geom; of meshes that touch, as
     all of them together. Sand in a narrow gap moves with the body and is part of the face, so the
-    facets on both sides get half of the gap each, and less of wider ones. `data` is of
-    `in_own_frames`.
+    facets on both sides get half of the gap each, and less of wider ones.
+
+    Args:
+        model: the model.
+        data: of `in_own_frames`.
+        facets: dtype `FACET_DTYPE`; `width` is that of the geom. Sets `face` and `area`.
     """
     points, normals, edges = _placed(data, facets)
     facets["face"] = facets["width"]
@@ -135,7 +139,12 @@ def exposures(model: mujoco.MjModel, data: mujoco.MjData, facets: np.ndarray) ->
         (1 - f_1) (1 - (1 - f_1) f_2) (1 - (1 - f_1) f_3) ...
 
     Where the body turns on a hinge, rays run in arcs around it, as the sand does past the body.
-    Across a joint nothing is sheltered. `data` is of `in_own_frames`.
+    Across a joint nothing is sheltered.
+
+    Args:
+        model: the model.
+        data: of `in_own_frames`.
+        facets: dtype `FACET_DTYPE`.
     """
     exposed = np.ones(len(facets))
     points, normals, edges = _placed(data, facets)
@@ -230,8 +239,14 @@ class _Sight:
         """Return the walls that a ray hits, one after the other, shape (_WALLS,).
 
         A wall counts in full, 1, if as much sand is before it as before the first, and else in that
-        proportion: walls that touch are one. A straight ray has the arc None. It starts from a
-        facet of the geom `own`, whose width is given [m].
+        proportion: walls that touch are one.
+
+        Args:
+            at: start of the ray [m].
+            ray: its direction.
+            arc: arc that it follows, or None for a straight ray.
+            own: geom of the facet that it starts from.
+            width: width of that geom [m].
         """
         met, count = np.zeros(_WALLS), 0
         passed, end, nearest = 0.0, 0.0, 0.0  # distance before the chord, end of the last wall [m]
@@ -341,7 +356,11 @@ def _unrolled(
 def _anything_ahead(row: int, at: np.ndarray, axes: np.ndarray, bulge: np.ndarray) -> bool:
     """Return whether rays from a facet can hit others of the same rigid body.
 
-    Given are centers, half edges with normals, and how far surfaces stand out from their planes.
+    Args:
+        row: the facet.
+        at: centers of all, shape (n, 3).
+        axes: half edges and normals of all, shape (n, 3, 3).
+        bulge: how far surfaces may stand out from their planes, shape (n,).
     """
     n = axes[row, 2]
     away = at - at[row]
@@ -392,8 +411,11 @@ def _connected(low: np.ndarray, high: np.ndarray, gap: float) -> list[np.ndarray
 def _bridged(at: np.ndarray, reach: np.ndarray, geoms: np.ndarray, width: float) -> np.ndarray:
     """Return factors on areas with which coplanar facets of geoms meet halfway, shape (n,).
 
-    Given are their centers and half extents in the plane [m], shape (n, 2), and their geoms:
-    between facets of one geom there is no gap. Gaps are compared to the width of the geoms [m].
+    Args:
+        at: their centers in the plane [m], shape (n, 2).
+        reach: half their extents [m], shape (n, 2).
+        geoms: their geoms, shape (n,); between facets of one geom there is no gap.
+        width: width of the geoms [m], to which gaps are compared.
     """
     away = at[None] - at[:, None]
     apart = np.abs(away) - reach[None] - reach[:, None]
@@ -413,7 +435,13 @@ def _bridged(at: np.ndarray, reach: np.ndarray, geoms: np.ndarray, width: float)
 
 
 def _width_of(at: np.ndarray, half: np.ndarray, areas: np.ndarray) -> float:
-    """Return the width of a flat face (`join_faces`): centers, half edges, areas of its facets."""
+    """Return the width of a flat face: see `join_faces`.
+
+    Args:
+        at: centers of its facets in the plane [m], shape (n, 2).
+        half: their half edges [m], shape (n, 2, 2).
+        areas: [m^2], shape (n,).
+    """
     area = areas.sum()
     away = at - areas @ at / area
     moments = np.einsum("n,ni,nj->ij", areas, away, away)

@@ -106,7 +106,7 @@ def test_policies_are_faster_than_the_best_of_a_search_among_gaits(robot):
     env_id = f"mjgranular/{robot}-v0"
     scripted = way(env_id, None, BEST_GAITS[robot])
     assert scripted > 0
-    # Those trained on drawn sand by less than one would be on this sand alone: the swimmer by 17 %.
+    # 17 % for the swimmer, which was trained on drawn sand.
     assert way(env_id, load_policy(first_of(robot))) > 1.1 * scripted
 
 

@@ -226,7 +226,7 @@ def test_controls(ball: Path, port: int) -> None:
         (("--instead-of", "flor"), "there are: floor"),
     ],
 )
-def test_mistakes_are_told(
+def test_mistakes_are_errors_in_words(
     ball: Path, options: tuple[str, ...], said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     try:
@@ -238,7 +238,7 @@ def test_mistakes_are_told(
     assert said in " ".join((printed.err + printed.out).split())
 
 
-def test_a_port_that_is_taken_is_told(
+def test_a_port_that_is_taken_is_an_error(
     ball: Path, port: int, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with socket.create_server(("127.0.0.1", port)):
@@ -248,13 +248,13 @@ def test_a_port_that_is_taken_is_told(
     assert error.count("\n") == 1
 
 
-def test_an_unknown_model_is_told(capsys: pytest.CaptureFixture[str], port: int) -> None:
+def test_an_unknown_model_is_an_error(capsys: pytest.CaptureFixture[str], port: int) -> None:
     assert main(["view", "nowhere.xml", "--web", "--port", str(port)]) == 2
     assert "cannot load nowhere.xml" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("option", [("--port", "8081"), ("--host", "0.0.0.0")])
-def test_an_address_without_a_page_is_told(
+def test_an_address_without_a_page_is_an_error(
     ball: Path, option: tuple[str, str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["view", str(ball), *option]) == 2
