@@ -13,6 +13,7 @@ directories that others can write to are neither read nor written.
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import os
 import shutil
@@ -21,13 +22,19 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import IO, Any, TypeVar
 
 from numba.core import config
 
 from mjgranular.errors import warn_user
+from mjgranular.kernel.threads import cancellation_point
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None
 
 T = TypeVar("T")
 
@@ -37,6 +44,7 @@ _SUMS = "sums"
 _OLD = 30 * 24 * 3600.0  # s after which programs of other builds are removed; chosen
 _ROOT = 0
 _OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
+_PATIENCE = 300.0  # s for which to wait for another process that compiles a program; chosen
 _MOST = 1 << 28  # maximum bytes of a file; that of a program has some hundred thousand
 # Neither follow a link nor block on a pipe.
 _READ = os.O_RDONLY | sum(
@@ -83,6 +91,51 @@ def save(build: str, name: str, make: Callable[[], T]) -> T | None:
 def can_save() -> bool:
     """Return True if there is a writable cache directory."""
     return any(True for _ in _folders_to_write())
+
+
+def has(build: str, name: str) -> bool:
+    """Return True if a complete program is cached."""
+    return any(_is_complete(root / build / name) for root in _folders_to_read())
+
+
+@contextmanager
+def alone(build: str, name: str) -> Iterator[None]:
+    """Let one process at a time compile a program; others wait, to find it cached afterwards.
+
+    Without locks of files, on Windows and some file systems, they do not wait.
+    """
+    root = next(_folders_to_write(), None)
+    if fcntl is None or root is None:
+        yield
+        return
+    with ExitStack() as opened:
+        with suppress(OSError):
+            (root / build).mkdir(exist_ok=True)
+            _restrict(root / build)
+            file = opened.enter_context((root / build / f"{name}.lock").open("w"))
+            _wait_for(file)
+        yield
+
+
+def can_wait() -> bool:
+    """Return True if processes can wait for each other's programs (`alone`)."""
+    return fcntl is not None and can_save()
+
+
+def _wait_for(file: IO[str]) -> None:
+    """Lock a file until it is closed, or this process ends.
+
+    Not by `flock`, which a forked process would hold too.
+    """
+    until = time.monotonic() + _PATIENCE
+    while time.monotonic() < until:
+        try:
+            return fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            if error.errno not in (errno.EACCES, errno.EAGAIN):
+                raise
+        cancellation_point()
+        time.sleep(0.05)
 
 
 @contextmanager

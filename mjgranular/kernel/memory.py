@@ -27,13 +27,13 @@ from mjgranular.kernel.structs import fields_of, offset_of
 # bit for each integrator that can be stepped, LONGEST_STEP is in nanoseconds (`scheme.status`).
 # Within `mj_step` (`engine.block`) XFRC, WARNINGS and SNAPSHOT are 0: there MuJoCo handles them.
 # STATE to UPDATE belong to a surface with memory: the address of its state, the number of values in
-# it, and the address of the program that updates it after a step; 0 without memory. LAW is the
-# address of the law's program, if the scheme has one for each law (`Scheme.forces`), else 0.
+# it, and the address of the program that updates it after a step; 0 without memory. SAMPLING and
+# LAW are the addresses of the programs of `Scheme.sampling` and `Scheme.forces`; 0 for none.
 NBODY, NV, ELEMENT_COUNT, BODY_COUNT, INTEGRATORS, LONGEST_STEP = range(6)
 OPTIONS, DOF_PARENT, XPOS, XMAT, XIPOS, SUBTREE_COM, CVEL, CDOF, WARMSTART, XFRC = range(6, 16)
 WARNINGS, ELEMENTS, BODIES, SCENE, CONTACTS, SNAPSHOT, WORKSPACE = range(16, 23)
-STATE, STATE_SIZE, UPDATE, LAW = range(23, 27)
-TABLE_SIZE = 27
+STATE, STATE_SIZE, UPDATE, SAMPLING, LAW = range(23, 28)
+TABLE_SIZE = 28
 
 _WORD = ir.IntType(64)
 
@@ -54,14 +54,15 @@ def simulation_table(
     longest_step: int,
     state: np.ndarray,
     update: int,
+    sampling: int,
     forces: int,
 ) -> np.ndarray:
-    """Make the table of sizes and addresses, shape (27,), int64.
+    """Make the table of sizes and addresses, shape (28,), int64.
 
     `packed` has the law's elements, `count` of them, as its program reads them; `integrators` has a
-    bit for each that can be stepped; `longest_step` is in nanoseconds; `options`, `update` and
-    `forces` are addresses, 0 for no program. It keeps nothing alive: all arguments must outlive
-    every use of it.
+    bit for each that can be stepped; `longest_step` is in nanoseconds; `options`, `update`,
+    `sampling` and `forces` are addresses, 0 for no program. It keeps nothing alive: all arguments
+    must outlive every use of it.
     """
     arrays = (
         model.dof_parentid,
@@ -84,7 +85,7 @@ def simulation_table(
     numbers = (model.nbody, model.nv, count, len(bodies), integrators, longest_step)
     addresses = (options, *(array.ctypes.data for array in arrays))
     remembered = (state.ctypes.data if state.size else 0, state.size, update)
-    return np.array([*numbers, *addresses, *remembered, forces], dtype=np.int64)
+    return np.array([*numbers, *addresses, *remembered, sampling, forces], dtype=np.int64)
 
 
 def emit_array(

@@ -86,6 +86,7 @@ def bind(
         longest_step=nanoseconds(scheme.step_limit),
         state=state,
         update=sand.update,
+        sampling=sand.sampling,
         forces=sand.forces,
     )
     return Binding(table, table.ctypes.data, bodies, contacts, snapshot, workspace, scene, state)

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from mjgranular.errors import InputError
-from mjgranular.kernel.compiled import program_address
+from mjgranular.kernel.compiled import program_addresses
 from mjgranular.law import Law, laws, make_scene
 from mjgranular.law.kernel import LawKernel
 from mjgranular.medium.medium import DYNAMIC
@@ -39,7 +39,8 @@ class PreparedSand(ChosenSand):
         scene: parameters of law and surface, shape (1,).
         kernel: kernel of the law under this surface.
         program: address of the scheme's compiled program (`Scheme.program`).
-        forces: address of the law's (`Scheme.forces`); 0 if it is part of the scheme's.
+        sampling: address of `Scheme.sampling`; 0 if that is part of the scheme's program.
+        forces: address of `Scheme.forces`; 0 likewise.
         footprint: the skin by which bodies press sand down; None without memory.
         update: address of the program that updates the memory; 0 without memory.
         disabled: ids of the geoms whose contacts are off: the sand itself, and what it replaces.
@@ -50,6 +51,7 @@ class PreparedSand(ChosenSand):
     scene: np.ndarray
     kernel: LawKernel
     program: int
+    sampling: int
     forces: int
     footprint: Footprint | None
     update: int
@@ -84,19 +86,24 @@ def prepare(model: mujoco.MjModel, spec: SandSpec, *, within: bool = False) -> P
         scene["surface"]["feet"] = footprint.feet.ctypes.data
         scene["surface"]["foot_count"] = len(footprint.feet)
     kernel = kernel_under(model, chosen, surface, footprint)
-    program, forces = scheme.program(kernel, scene.dtype), scheme.forces(kernel, scene.dtype)
-    what = f"law {law.name}, scheme {scheme.name}, {type(surface).__name__}"
-    # Forces first: an error in a law of the user's is found before all else is compiled.
-    law_program = 0 if forces is None else program_address(forces, FORCES, what)
-    shared = what if forces is None else f"scheme {scheme.name}"
+    law_name, scheme_name = f"law {law.name}", f"scheme {scheme.name}"
+    parts = f"{law_name}, {scheme_name}, {type(surface).__name__}"
+    sampling = scheme.sampling(kernel, scene.dtype)
+    # The scheme's last: an error in a law of the user's is found before all else is compiled.
+    sampling, forces, program = program_addresses(
+        (sampling, STEP, parts),
+        (scheme.forces(kernel, scene.dtype), FORCES, f"{law_name}, {scheme_name}"),
+        (scheme.program(kernel, scene.dtype), STEP, scheme_name if sampling else parts),
+    )
     return PreparedSand(
         **vars(replace(chosen, surface=surface)),
         scheme=scheme,
         packed=kernel.pack(elements),
         scene=scene,
         kernel=kernel,
-        program=program_address(program, STEP, shared),
-        forces=law_program,
+        program=program,
+        sampling=sampling,
+        forces=forces,
         footprint=footprint,
         update=update_program(surface, scene.dtype),
         disabled=(*surface.geoms(model), *chosen.replaced),

@@ -1,7 +1,7 @@
 """Residual and Jacobian of the balance at a velocity, with the sand's forces there.
 
-All that depends on law and surface is one program for each of them; the rest of the scheme is
-compiled once and calls it by its address.
+Three programs, each compiled once: one for each law and kind of surface finds the elements in the
+sand, one for each law has their forces, and all the rest of the scheme calls these by address.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from mjgranular.kernel.compiled import compiled
-from mjgranular.kernel.intrinsics import call_forces
-from mjgranular.kernel.memory import LAW, SCENE, WORKSPACE, records, table_at
+from mjgranular.kernel.intrinsics import call_forces, call_step
+from mjgranular.kernel.memory import LAW, SAMPLING, SCENE, WORKSPACE, records, table_at
 from mjgranular.law.kernel import LawKernel
 from mjgranular.scheme.balance import (
     add_stiffness,
@@ -23,41 +23,60 @@ from mjgranular.scheme.balance import (
     sum_wrenches,
 )
 from mjgranular.scheme.dense import clear
-from mjgranular.scheme.forces import NEXT, tile_kernels
+from mjgranular.scheme.forces import (
+    NEXT,
+    add_kernel,
+    damp_kernel,
+    follow_kernel,
+    move_kernel,
+    respond_kernel,
+    sample_kernel,
+)
 from mjgranular.scheme.workspace import workspace_at
 from mjgranular.scheme.wrenches import gravity_of
 
 # Not literals: numba would compile a function for each of them.
-FIND, RESPOND, DAMP, FOLLOW = (np.int64(n) for n in range(4))
+RESPOND, DAMP, FOLLOW = (np.int64(n) for n in range(3))
 """Tasks of a law's program (`forces_program`)."""
 
 
 @cache
-def forces_program(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
+def sampling_program(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
+    """Make the kernel of `Scheme.sampling`: it fills the workspace's tiles and sets `w.count`."""
+    sample = sample_kernel(kernel, scene_dtype)
+
+    @compiled
+    def find(address, lead):
+        table = table_at(address)
+        w = workspace_at(table[WORKSPACE])
+        sample(table, w)
+        return w.count
+
+    return find
+
+
+@cache
+def forces_program(kernel: LawKernel, law_dtype: np.dtype) -> Any:
     """Make the kernel `forces(address, task, eps, update, loose)`: a law's loops over all tiles.
 
     The arguments are the address of the table, one of the tasks above, and those of `evaluate`. It
     returns the greatest mismatch, for `FOLLOW` the greatest turn (`law.kernel`).
     """
-    of_tiles = tile_kernels(kernel, scene_dtype)
-    sample, move, add, follow = of_tiles.sample, of_tiles.move, of_tiles.add, of_tiles.follow
-    respond, damp = of_tiles.respond, of_tiles.damp
-    scene_records = records(scene_dtype)
+    move, respond, damp = move_kernel(kernel), respond_kernel(kernel), damp_kernel(kernel)
+    add, follow = add_kernel(kernel.lanes), follow_kernel(kernel)
+    laws = records(law_dtype)  # the law is the first field of a scene
 
     @compiled
     def forces(address, task, eps, update, loose):
         table = table_at(address)
         w = workspace_at(table[WORKSPACE])
         most = 0.0
-        if task == FIND:
-            sample(table, w)
-        elif task == FOLLOW:
+        if task == FOLLOW:
             for i in range(w.count):
                 body = w.heads[i].body
                 most = max(most, follow(w.tiles[i], motion_of(w, body), w.wrench[body], eps))
         else:
-            scene = scene_records(table[SCENE], 1)
-            law, g = scene[0].law, gravity_of(table)
+            law, g = laws(table[SCENE], 1)[0], gravity_of(table)
             for i in range(w.count):
                 tile, body = w.tiles[i], w.heads[i].body
                 move(tile, motion_of(w, body), update, eps, loose)
@@ -74,7 +93,7 @@ def forces_program(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
 @compiled
 def find_elements(table, w):
     """Fill the workspace's tiles with the elements in the sand, and set `w.count`."""
-    call_forces(table[LAW], table.ctypes.data, FIND, 0.0, NEXT, 0.0)
+    call_step(table[SAMPLING], table.ctypes.data, w.h)
 
 
 @compiled

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cache, partial
 from typing import Any, NamedTuple
 
@@ -50,33 +49,6 @@ class Response(NamedTuple):
     mismatch: float  # square of the difference between this multiplier and the velocity's
 
 
-@dataclass(frozen=True)
-class TileKernels:
-    """Loops over the tiles of a law's elements, for one kind of surface.
-
-    Attributes:
-        size: numbers in a tile.
-        sample: kernel `sample(table, w)`: fill the workspace's tiles with the elements in the sand,
-            and set `w.count`.
-        move: kernel `move(tile, motion, multipliers, eps, loose)`: set the velocities in a tile
-            from its body's spatial velocity, and the multipliers.
-        respond: kernel `respond(tile, law, g, eps)`: set forces and derivatives.
-        add: kernel `add(tile, wrench, stiffness)`: add these to those of the body; return the
-            greatest mismatch.
-        follow: kernel `follow(tile, motion, wrench, eps)`: extrapolate forces by the derivatives to
-            the body's motion, and add them to those of the body; return the greatest `turn`.
-        damp: as `respond`, with secants of the forces (`law.secant`) instead of derivatives.
-    """
-
-    size: int
-    sample: Any
-    move: Any
-    respond: Any
-    add: Any
-    follow: Any
-    damp: Any
-
-
 @partial(compiled, inline=True)
 def _no_momentum(w, body, tile, live, is_first):
     return
@@ -92,9 +64,11 @@ def _no_kink(tile, lane, by_v, by_force):
     return False
 
 
-@cache
-def tile_kernels(kernel: LawKernel, scene_dtype: np.dtype) -> TileKernels:
-    """Make the implicit scheme's loops over a law's tiles."""
+def sample_kernel(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
+    """Make the kernel `sample(table, w)`.
+
+    It fills the workspace's tiles with the elements in the sand, and sets `w.count`.
+    """
     size = tile_size(kernel)
     adds_mass = kernel.added is not None
     note_momentum = momentum_kernel(kernel) if adds_mass else _no_momentum
@@ -112,19 +86,14 @@ def tile_kernels(kernel: LawKernel, scene_dtype: np.dtype) -> TileKernels:
         w.count = sample_all(table, w, w.tiles.ctypes.data, 8 * size, 0.0)
         charge_turns(w)
 
-    return TileKernels(
-        size,
-        sample,
-        move_kernel(kernel),
-        respond_kernel(kernel),
-        add_kernel(kernel.lanes),
-        follow_kernel(kernel),
-        damp_kernel(kernel),
-    )
+    return sample
 
 
 def move_kernel(kernel: LawKernel) -> Any:
-    """See `TileKernels.move`."""
+    """Make the kernel `move(tile, motion, multipliers, eps, loose)`.
+
+    It sets the velocities in a tile from its body's spatial velocity, and the multipliers.
+    """
     lanes, update = kernel.lanes, kernel.multiplier.update
     vectors, all_vectors = column(Vector, lanes), rows(Vector, lanes)
     read, write, read_sample = vectors.read, vectors.write, column(kernel.samples, lanes).read
@@ -221,12 +190,15 @@ def by_complexity(kernel: LawKernel, in_lanes: Any, *, soft: bool) -> Any:
 
 
 def respond_kernel(kernel: LawKernel) -> Any:
-    """See `TileKernels.respond`."""
+    """Make the kernel `respond(tile, law, g, eps)`: it sets forces and derivatives."""
     return with_momentum(kernel, resistance_kernel(kernel))
 
 
 def damp_kernel(kernel: LawKernel) -> Any:
-    """Make the kernel `TileKernels.damp`; multipliers must be those of the velocities."""
+    """Make the kernel `damp(tile, law, g, eps)`: `respond` with secants in place of derivatives.
+
+    See `law.secant`. Multipliers must be those of the velocities.
+    """
     resist, lanes = resistance_kernel(kernel), kernel.lanes
     read, slopes = column(Vector, lanes).read, column(Matrix, lanes)
     read_slope, write_slope = slopes.read, slopes.write
@@ -321,7 +293,10 @@ def add_total(array, first, v):
 
 @cache
 def add_kernel(lanes: int) -> Any:
-    """See `TileKernels.add`."""
+    """Make the kernel `add(tile, wrench, stiffness)`.
+
+    It adds forces and derivatives to those of the body, and returns the greatest mismatch.
+    """
     read, read_weight = rows(Vector, lanes).read, rows(float, lanes).read
     read_slope = rows(Matrix, lanes).read
 
@@ -357,7 +332,11 @@ def add_row(stiffness, first, arm, row):
 
 @cache
 def follow_kernel(kernel: LawKernel) -> Any:
-    """See `TileKernels.follow`."""
+    """Make the kernel `follow(tile, motion, wrench, eps)`.
+
+    It extrapolates forces by the derivatives to the body's motion, adds them to those of the body,
+    and returns the greatest `turn`.
+    """
     lanes, turn = kernel.lanes, kernel.multiplier.turn
     vectors, slopes, all_weights = rows(Vector, lanes), rows(Matrix, lanes), rows(float, lanes)
     read_all, write_all, read_slopes = vectors.read, vectors.write, slopes.read

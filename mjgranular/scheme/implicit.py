@@ -55,7 +55,7 @@ from mjgranular.law.kernel import LawKernel
 from mjgranular.scheme.balance import prepare_inertia
 from mjgranular.scheme.constraints import prepare_constraints
 from mjgranular.scheme.dense import add_scaled, clear, copy, inner
-from mjgranular.scheme.evaluation import find_elements, forces_program
+from mjgranular.scheme.evaluation import find_elements, forces_program, sampling_program
 from mjgranular.scheme.layout import FORCE, INDEX, VELOCITY
 from mjgranular.scheme.metric import is_unsupported, make_metric
 from mjgranular.scheme.passivity import passive_share
@@ -100,8 +100,11 @@ class Implicit(Scheme):
     def program(self, kernel: LawKernel, scene: np.dtype) -> Any:
         return implicit_program
 
+    def sampling(self, kernel: LawKernel, scene: np.dtype) -> Any:
+        return sampling_program(kernel, scene)
+
     def forces(self, kernel: LawKernel, scene: np.dtype) -> Any:
-        return forces_program(kernel, scene)
+        return forces_program(kernel, scene["law"])
 
     def workspace(
         self,

@@ -25,20 +25,23 @@ SLACK = 5
 HEAD_DTYPE = np.dtype([("body", np.int64), ("live", np.int64)])
 
 
-def element_row(kernel: LawKernel) -> int:
-    """Return the first row of the elements themselves, where they are packed side by side."""
+def added_row(kernel: LawKernel) -> int:
+    """Return the first row of added mass (`scheme.added`)."""
     return SAMPLE + size_of(kernel.samples)
 
 
-def added_row(kernel: LawKernel) -> int:
-    """Return the first row of added mass (`scheme.added`)."""
-    return element_row(kernel) + (size_of(kernel.element) if kernel.side_by_side else 0)
+def element_row(kernel: LawKernel) -> int:
+    """Return the first row of the elements themselves, where they are packed side by side.
+
+    They come last: a program of forces, which does not read them, is the same for all surfaces.
+    """
+    return added_row(kernel) + (0 if kernel.added is None else ADDED_ROWS)
 
 
 def tile_size(kernel: LawKernel) -> int:
     """Return the number of numbers in a tile."""
-    added = 0 if kernel.added is None else ADDED_ROWS
-    return (added_row(kernel) + added) * kernel.lanes
+    gathered = size_of(kernel.element) if kernel.side_by_side else 0
+    return (element_row(kernel) + gathered) * kernel.lanes
 
 
 def tile_count(kernel: LawKernel, elements: np.ndarray) -> int:

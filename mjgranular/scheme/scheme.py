@@ -115,11 +115,19 @@ class Scheme(SchemeChoice):
             scene: record with the fields `law`, made by its `parameters`, and `surface`.
         """
 
-    def forces(self, kernel: LawKernel, scene: np.dtype) -> Any:
-        """Make the kernel with all that depends on law and surface, if the program calls one.
+    def sampling(self, kernel: LawKernel, scene: np.dtype) -> Any:
+        """Make the kernel that finds the elements in the sand, if it is a program of its own.
 
-        Then `program` is the same for all laws, and is compiled once. The address of this one is
-        in the table (`kernel.memory.LAW`).
+        Its address is in the table (`kernel.memory.SAMPLING`). It is called as `program` is, and
+        returns nothing of use.
+        """
+        return None
+
+    def forces(self, kernel: LawKernel, scene: np.dtype) -> Any:
+        """Make the kernel of a law's forces, if the scheme's program calls one.
+
+        It is the same for all surfaces, as `program` is then for all laws, so each is compiled
+        once. Its address is in the table (`kernel.memory.LAW`).
 
         Args:
             kernel: kernel of the law.

@@ -315,6 +315,50 @@ def test_an_error_in_a_law_is_one_sentence_with_a_numba_that_was_tested() -> Non
     )
 
 
+HOLD = """
+import sys
+from mjgranular.kernel import cache
+with cache.alone("build", "program"):
+    print("locked", flush=True)
+    sys.stdin.read()
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no locks of files on Windows")
+def test_one_process_at_a_time_compiles_a_program(
+    root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    command, pipe = [sys.executable, "-c", HOLD], subprocess.PIPE
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True) as other:
+        assert other.stdout is not None
+        assert other.stdout.readline() == "locked\n"
+        with cache.alone(BUILD, "another"):
+            pass
+        waited = []
+
+        def let_go() -> None:
+            waited.append(other.poll())
+            other.communicate()
+
+        monkeypatch.setattr(cache, "cancellation_point", let_go)
+        with cache.alone(BUILD, NAME):
+            assert waited == [None]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no locks of files on Windows")
+def test_a_lock_that_is_never_released_is_not_waited_for_forever(
+    root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    command, pipe = [sys.executable, "-c", HOLD], subprocess.PIPE
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True) as other:
+        assert other.stdout is not None
+        assert other.stdout.readline() == "locked\n"
+        monkeypatch.setattr(cache, "_PATIENCE", 0.1)
+        with cache.alone(BUILD, NAME):
+            assert other.poll() is None
+        other.communicate()
+
+
 def test_without_numba_the_import_says_so() -> None:
     code = """
 import sys

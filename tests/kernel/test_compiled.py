@@ -5,10 +5,23 @@ import os
 import subprocess
 import sys
 
+import mujoco
 import pytest
 
 from mjgranular.kernel import progress
 from mjgranular.kernel.compiled import compiled
+from mjgranular.law import get_law, make_scene
+from mjgranular.medium import get_medium
+from mjgranular.relief import Memory
+from mjgranular.relief.relief import Relief
+from mjgranular.scheme import schemes
+from mjgranular.surface import Bed, Plane
+
+BLOCK = """
+<mujoco><worldbody>
+  <geom name="block" type="box" size="1 1 1"/><body><freejoint/><geom size=".1"/></body>
+</worldbody></mujoco>
+"""
 
 KERNELS = """
 import math, sys, time
@@ -234,7 +247,7 @@ for law in laws.values():
         scene = make_scene(made, medium, surface, model)
         for scheme in ("implicit",) if made.adds_mass else ("explicit", "implicit"):
             chosen, parts = schemes[scheme](), (made.kernel(surface), scene.dtype)
-            program = chosen.forces(*parts) or chosen.program(*parts)
+            program = chosen.sampling(*parts) or chosen.program(*parts)
             print(program.py_func.__qualname__)
 """
 )
@@ -247,6 +260,50 @@ def test_the_kernels_of_all_laws_have_the_same_names_in_every_process():
     first, second = map(finish, both)
     assert len(set(first)) == len(first) >= 5 * 3 * 2
     assert first == second
+
+
+def test_forces_are_one_program_on_all_surfaces():
+    model = mujoco.MjModel.from_xml_string(BLOCK)
+    medium = get_medium("quikrete_medium")
+    law = get_law("rft3d_dynamic", medium)
+    made = set()
+    for surface in (Plane(), Bed("block"), Relief(Plane(), Memory(), 0.2)):
+        dtype = make_scene(law, medium, surface, model).dtype
+        forces = schemes["implicit"]().forces(law.kernel(surface), dtype)
+        made.add(forces.py_func.__qualname__)
+    assert len(made) == 1
+
+
+BESIDE = """
+parts = sys.modules["mjgranular.kernel.compiled"]
+
+def program_addresses(beside):
+    local = made_of(twice)
+    missing = [(local, SIGNATURE, ""), (None, SIGNATURE, ""), (thrice, SIGNATURE, "")]
+    found = parts.program_addresses(*missing)
+    print([address > 0 for address in found], len(parts._beside) == beside)
+    for process in parts._beside:
+        print(process.wait())
+
+"""
+
+
+def test_a_second_process_compiles_what_a_module_names(start):
+    code = (
+        BESIDE
+        + """
+parts._compile_beside([(thrice, SIGNATURE, "")])
+assert parts._beside[0].wait() == 0
+counted = parts.cache.has(parts.build(), parts._name_of(thrice, SIGNATURE, parts._c_function))
+print(counted)
+program_addresses(1)  # nothing that a module names is missing any more
+"""
+    )
+    assert "".join(finish(start(code))) == "True[True,False,True]True0"
+
+
+def test_of_several_programs_one_is_compiled_beside(start):
+    assert "".join(finish(start(BESIDE + "program_addresses(1)"))) == "[True,False,True]True0"
 
 
 def test_what_has_no_name_of_its_own_is_refused():
