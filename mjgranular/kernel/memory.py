@@ -29,11 +29,12 @@ from mjgranular.kernel.structs import fields_of, offset_of
 # STATE to UPDATE belong to a surface with memory: the address of its state, the number of values in
 # it, and the address of the program that updates it after a step; 0 without memory. SAMPLING and
 # LAW are the addresses of the programs of `Scheme.sampling` and `Scheme.forces`; 0 for none.
+# SURFACE is where the surface begins in a scene, after the law [bytes].
 NBODY, NV, ELEMENT_COUNT, BODY_COUNT, INTEGRATORS, LONGEST_STEP = range(6)
 OPTIONS, DOF_PARENT, XPOS, XMAT, XIPOS, SUBTREE_COM, CVEL, CDOF, WARMSTART, XFRC = range(6, 16)
 WARNINGS, ELEMENTS, BODIES, SCENE, CONTACTS, SNAPSHOT, WORKSPACE = range(16, 23)
-STATE, STATE_SIZE, UPDATE, SAMPLING, LAW = range(23, 28)
-TABLE_SIZE = 28
+STATE, STATE_SIZE, UPDATE, SAMPLING, LAW, SURFACE = range(23, 29)
+TABLE_SIZE = 29
 
 _WORD = ir.IntType(64)
 
@@ -57,7 +58,7 @@ def simulation_table(
     sampling: int,
     forces: int,
 ) -> np.ndarray:
-    """Make the table of sizes and addresses, shape (28,), int64.
+    """Make the table of sizes and addresses, shape (29,), int64.
 
     `packed` has the law's elements, `count` of them, as its program reads them; `integrators` has a
     bit for each that can be stepped; `longest_step` is in nanoseconds; `options`, `update`,
@@ -85,7 +86,8 @@ def simulation_table(
     numbers = (model.nbody, model.nv, count, len(bodies), integrators, longest_step)
     addresses = (options, *(array.ctypes.data for array in arrays))
     remembered = (state.ctypes.data if state.size else 0, state.size, update)
-    return np.array([*numbers, *addresses, *remembered, sampling, forces], dtype=np.int64)
+    surface = scene["surface"].ctypes.data - scene.ctypes.data
+    return np.array([*numbers, *addresses, *remembered, sampling, forces, surface], dtype=np.int64)
 
 
 def emit_array(

@@ -14,7 +14,16 @@ from typing import Any
 import numpy as np
 
 from mjgranular.kernel.compiled import compiled, program_address
-from mjgranular.kernel.memory import SCENE, XMAT, XPOS, floats, records, row_of, table_at
+from mjgranular.kernel.memory import (
+    SCENE,
+    SURFACE,
+    XMAT,
+    XPOS,
+    floats,
+    records,
+    row_of,
+    table_at,
+)
 from mjgranular.kernel.options import NO_GRAVITY, options_at
 from mjgranular.kernel.vector import norm, read_matrix, read_vector, vector, write_vector
 from mjgranular.relief.flow import flow_kernel, look_through
@@ -87,15 +96,15 @@ def are_still(table, state, relief, feet):
 
 
 @cache
-def update_kernel(probe: Any, is_flat: bool, scene_dtype: np.dtype) -> Any:
+def update_kernel(probe: Any, is_flat: bool, dtype: np.dtype) -> Any:
     """Make the program `update(table, lead)`, which returns 1 when done."""
-    level, scene_records = level_kernel(probe, is_flat), records(scene_dtype)
+    level, reliefs = level_kernel(probe, is_flat), records(dtype)
     press, flow = press_kernel(level, is_flat), flow_kernel(level, is_flat)
 
     @compiled
     def update(address, lead):
         table = table_at(address)
-        relief = scene_records(table[SCENE], 1)[0].surface
+        relief = reliefs(table[SCENE] + table[SURFACE], 1)[0]
         size = relief.size
         state = floats(relief.state, state_length(size))
         feet = _feet(relief.feet, relief.foot_count)
@@ -140,9 +149,12 @@ def update_kernel(probe: Any, is_flat: bool, scene_dtype: np.dtype) -> Any:
     return update
 
 
-def update_program(surface: Surface, scene_dtype: np.dtype) -> int:
-    """Return the address of the program that updates a relief; 0 for a surface without memory."""
+def update_program(surface: Surface, dtype: np.dtype) -> int:
+    """Return the address of the program that updates a relief, from its surface and its record.
+
+    It is 0 for a surface without memory.
+    """
     if not isinstance(surface, Relief):
         return 0
-    update = update_kernel(type(surface.base).probe, surface.is_flat, scene_dtype)
+    update = update_kernel(type(surface.base).probe, surface.is_flat, dtype)
     return program_address(update, "int64(int64, float64)", f"memory, {surface.base}")

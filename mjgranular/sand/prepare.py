@@ -105,7 +105,7 @@ def prepare(model: mujoco.MjModel, spec: SandSpec, *, within: bool = False) -> P
         sampling=sampling,
         forces=forces,
         footprint=footprint,
-        update=update_program(surface, scene.dtype),
+        update=update_program(surface, scene.dtype["surface"]),
         disabled=(*surface.geoms(model), *chosen.replaced),
     )
 
