@@ -16,6 +16,8 @@ from mjgranular.errors import OutputError
 
 CONFIG = "config.json"
 SUMMARY = "summary.json"
+UNFINISHED = "unfinished"
+"""Empty file beside numbers whose figures are not drawn yet."""
 TRAINING = "train"
 """Command that `config.json` of a training run names."""
 
@@ -70,17 +72,37 @@ class ResultFolder:
                 "another folder"
             )
 
+    def lacks_figures(self, command: str, config: dict[str, Any]) -> bool:
+        """Return True if this very command was interrupted here after it wrote its numbers."""
+        with suppress(OutputError):
+            saved, wanted = read_json(self.path / CONFIG), json.loads(json.dumps(config))
+            values = saved.get("config")
+            if saved.get("command") == command and isinstance(values, dict):
+                same = all(values.get(name) == value for name, value in wanted.items())
+                return same and (self.path / UNFINISHED).exists()
+        return False
+
+    def finish(self) -> None:
+        """Note that all figures are drawn."""
+        (self.path / UNFINISHED).unlink(missing_ok=True)
+
     def _command(self) -> object:
         with suppress(OutputError):
             return read_json(self.path / CONFIG, infinite=True).get("command")
         return None
 
     @contextmanager
-    def published(self, *, keep: Sequence[str] = ()) -> Iterator[None]:
-        """Publish all files of the block at once, in place of all of the last result but `keep`."""
-        stale = [name for name in (*self._names, *self._previous_names()) if name not in keep]
+    def published(self, *, keep: Sequence[str] = (), unfinished: bool = False) -> Iterator[None]:
+        """Publish all files of the block at once, in place of all of the last result but `keep`.
+
+        The result may be `unfinished` until `finish` is called.
+        """
+        names = (*self._names, *self._previous_names(), UNFINISHED)
+        stale = [name for name in names if name not in keep]
         with files.replace_directory(self.path, instead_of=stale) as waiting:
             self._waiting = waiting
+            if unfinished:
+                (waiting / UNFINISHED).touch()
             try:
                 yield
             finally:

@@ -41,7 +41,8 @@ class DropCommand(FilmOptions, options_of(Drop, without=("model",))):
 
             check_camera(load(drop)[0], camera)
         problems: list[GranularError] = []
-        with self.claimed(*RUN_FILES, FIGURE, FILM) as folder:
+        names = *RUN_FILES, FIGURE, FILM
+        with self.claimed(*names, command="drop", config=drop.config()) as folder:
             with progress_bar("running the model", drop.duration) as progress:
                 result = run_drop(drop, progress=progress)
             if folder is not None:
@@ -56,6 +57,8 @@ class DropCommand(FilmOptions, options_of(Drop, without=("model",))):
                 if self.video:
                     with collected(problems):
                         _film(folder, result, camera)
+                if not problems:
+                    folder.finish()
         return self.finish(problems)
 
     def experiment(self) -> Drop:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -43,7 +43,10 @@ class ImpactCommand(FilmOptions, options_of(Impact)):
             raise InputError("a sphere has no --length: its size is its --diameter")
         impact = self.experiment()
         film = self._film(impact) if self.video else None
-        with self.claimed(*RUN_FILES, *FIGURES, PROFILE, VIDEO) as folder:
+        # The law may be None here, and is named in the file.
+        config = {name: value for name, value in asdict(impact).items() if name != "law" or value}
+        names = *RUN_FILES, *FIGURES, PROFILE, VIDEO
+        with self.claimed(*names, command="impact", config=config) as folder:
             with progress_bar("dropping the link", impact.duration) as progress:
                 result = run_impact(impact, progress=progress)
             if folder is not None:
@@ -53,6 +56,8 @@ class ImpactCommand(FilmOptions, options_of(Impact)):
             else:
                 _show(result)
             problems = [] if folder is None else _draw(folder, result, film)
+            if folder is not None and not problems:
+                folder.finish()
         return self.finish(problems)
 
     def experiment(self) -> Impact:

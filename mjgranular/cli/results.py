@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -39,12 +40,19 @@ class OutputOptions:
     """Print JSON instead of a table."""
 
     @contextmanager
-    def claimed(self, *names: str) -> Iterator[ResultFolder | None]:
-        """Claim the folder of `--out`; yield None without one."""
+    def claimed(
+        self, *names: str, command: str = "", config: dict[str, Any] | None = None
+    ) -> Iterator[ResultFolder | None]:
+        """Claim the folder of `--out`; yield None without one.
+
+        A command that was interrupted may go on there, if it has the same `config`.
+        """
         if self.out is None:
             yield None
             return
-        with ResultFolder(self.out, names).claimed(overwrite=self.overwrite) as folder:
+        folder = ResultFolder(self.out, names)
+        goes_on = None if config is None else partial(folder.lacks_figures, command, config)
+        with folder.claimed(overwrite=self.overwrite, goes_on=goes_on):
             yield folder
 
     def finish(self, problems: Sequence[GranularError] = ()) -> int:
