@@ -237,6 +237,13 @@ def next_ranges(
     return given
 
 
+def options_of_reset(options: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Return a copy of the options of a reset, after a check that they are a dictionary."""
+    if not isinstance(options, Mapping | None):
+        raise InputError(f"options of reset must be a dict by name, not {kind_of(options)}")
+    return dict(options or {})
+
+
 def ranges_of_reset(ranges: SandRanges | None, options: Mapping[str, Any]) -> SandRanges | None:
     """Return the ranges for one episode from the options of a reset; a number is a fixed value."""
     if not options:

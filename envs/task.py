@@ -36,6 +36,7 @@ from mjgranular.envs.ranges import (
     draw,
     lay,
     next_ranges,
+    options_of_reset,
     ranges_of,
     ranges_of_reset,
     sands_of,
@@ -296,7 +297,7 @@ class Task(SandSpec, ABC):
             UnknownNameError: an option that is not a field of `SandRanges`; lists them.
             InputError: a value outside its range, or sand that the model was not made for.
         """
-        return ranges_of_reset(self.randomise, options or {})
+        return ranges_of_reset(self.randomise, options_of_reset(options))
 
     def sample(
         self, random: np.random.Generator, episode: int, ranges: SandRanges | None

@@ -12,7 +12,7 @@ from gymnasium.vector.utils import batch_space
 
 from mjgranular._util.checks import check_count, kind_of
 from mjgranular.envs.cameras import RENDER_MODES, Cameras
-from mjgranular.envs.ranges import SandRanges
+from mjgranular.envs.ranges import SandRanges, options_of_reset
 from mjgranular.envs.task import Task, check_actions
 from mjgranular.envs.tasks import get_task
 from mjgranular.errors import InputError, UnknownNameError
@@ -129,7 +129,7 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             options: `reset_mask`, a bool for each simulation, resets some; others are those of
                 `SandEnv.reset`, for the episodes that begin.
         """
-        others = dict(options or {})
+        others = options_of_reset(options)
         mask = others.pop("reset_mask", None)
         ranges = self.task.ranges(others)
         if seed is None:

@@ -57,9 +57,10 @@ class Settings:
         normalize_rewards: by the running variance of the return, in training only.
         checkpoint_every: steps from one checkpoint to the next.
         start_from: the policy to continue from, with its scales of observations: the folder of a
-            run or the name of a policy of the package; None to start from random weights. It also
-            sets the noise, unless `policy` has `log_std_init`. PPO: observations that it has
-            not got must be the last; their weights begin at zero.
+            run or the name of a policy of the package; None or "" to start from random weights
+            (`--set start_from=` in place of what a file of settings has). It also sets the noise,
+            unless `policy` has `log_std_init`. PPO: observations that it has not got must be the
+            last; their weights begin at zero.
         arguments: arguments of the algorithm's class. A learning rate or clip range "linear_3e-4"
             falls from there to zero; `action_noise` is the standard deviation of normal noise.
         policy: further arguments of the algorithm's policy, such as `log_std_init`.
@@ -80,6 +81,8 @@ class Settings:
     environment: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        if self.start_from == "":
+            object.__setattr__(self, "start_from", None)
         for name, kind in typing.get_type_hints(type(self)).items():
             value = getattr(self, name)
             if name in _TABLES:

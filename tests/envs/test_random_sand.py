@@ -199,6 +199,8 @@ def test_a_reset_sets_the_sand_of_one_episode():
         env.reset(options={"strenght": 1.0})
     with pytest.raises(InputError, match=r"made with randomise=.*randomise=\{\}"):
         SandEnv("Hexapod").reset(options={"strength": 0.5})
+    with pytest.raises(InputError, match="must be a dict by name, not a list"):
+        env.reset(options=[1])
     fixed = SandEnv("Hexapod", randomise={})
     assert fixed.reset(seed=0, options={"density": 2})[1]["sand/density"] == 2.0
 
@@ -213,6 +215,8 @@ def test_a_reset_of_a_batch_sets_the_sand_of_those_that_begin():
     assert set(options) == {"strength", "reset_mask"}
     with pytest.raises(UnknownNameError, match="strenght"):
         batch.reset(options={"strenght": 1.0})
+    with pytest.raises(InputError, match="must be a dict by name"):
+        batch.reset(options=[1])
 
 
 @pytest.mark.parametrize(
