@@ -64,7 +64,7 @@ class WalkGo2(Walk, Go2Velocity):
 FOLLOWING = {"mjgranular/Go1Velocity-v0": Walk, "mjgranular/Go2Velocity-v0": WalkGo2}
 SHOWN = {
     "ChainSwim": Shown("ChainSwim-v0/ppo-0"),
-    "ChainCrawl": Shown("ChainCrawl-v0/ppo-1"),
+    "ChainCrawl": Shown("ChainCrawl-v0/ppo-0"),
     "Hexapod": Shown("Hexapod-v0/ppo-0"),
     "Hopper": Shown("Hopper-v0/ppo-0"),
     "Ant": Shown("Ant-v0/ppo-0"),

@@ -55,7 +55,7 @@ def trail() -> Iterator[np.ndarray]:
 
 def trench() -> Iterator[np.ndarray]:
     """A worm crawls."""
-    return of_policy("ChainCrawl-v0/ppo-1", 6.0, distance=1.6, elevation=-28.0, azimuth=150.0)
+    return of_policy("ChainCrawl-v0/ppo-0", 6.0, distance=1.6, elevation=-28.0, azimuth=150.0)
 
 
 BALL = """<mujoco><worldbody><body name="ball" pos="0 0 0.1">

@@ -113,9 +113,7 @@ def test_policies_are_faster_than_the_best_of_a_search_among_gaits(robot):
 def test_the_hopper_hops_and_the_ant_runs():
     # In the first 0.8 s and 5 s: standing would be no way at all.
     assert way("mjgranular/Hopper-v0", load_policy("Hopper-v0/ppo-0")) > 0.5
-    # On the sand that it was trained on: with today's lateral strength an ant may fall.
-    law = "rft3d_dynamic lateral=0"
-    assert way("mjgranular/Ant-v0", load_policy("Ant-v0/ppo-0"), law=law) > 5.0
+    assert way("mjgranular/Ant-v0", load_policy("Ant-v0/ppo-0")) > 10.0
 
 
 @pytest.mark.usefixtures("robots")
