@@ -85,7 +85,7 @@ _ROWS = (
     ("stop_angular_velocity", "angular velocity at the stop", 1, "rad/s"),
     ("greatest_force", "greatest force of the sand", 1, "N"),
     ("rest_time", "at rest after", 1e3, "ms"),
-    ("rest_depth", "depth of the deeper end at rest", 1e3, "mm"),
+    ("rest_depth", "depth of the lowest point at rest", 1e3, "mm"),
     ("rest_angle_deg", "angle at rest", 1, "deg"),
 )
 """Rows of the table: name in the summary, words, factor, unit."""

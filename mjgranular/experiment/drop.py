@@ -124,7 +124,7 @@ class BodySummary:
         energy_into_sand: work of the body on the sand [J].
         within_validity: share of the samples in the sand at which the law was valid, 0 to 1; None
             if it never met the sand.
-        exceeded: measures of validity whose limits it passed, with the greatest values.
+        exceeded: measures of validity whose limits it passed at a sample, with the greatest values.
     """
 
     body: str
@@ -135,8 +135,17 @@ class BodySummary:
     exceeded: dict[str, float]
 
     @classmethod
-    def of(cls, reports: Sequence[BodyReport], energy: float) -> BodySummary:
-        """Summarize the reports of a body at all samples, and the energy [J] that it gave."""
+    def of(
+        cls, reports: Sequence[BodyReport], energy: float, force: float, depth: float
+    ) -> BodySummary:
+        """Summarize a body.
+
+        Args:
+            reports: at all samples.
+            energy: that it gave [J].
+            force: the greatest, over all steps but the last [N].
+            depth: likewise [m].
+        """
         in_sand = [report for report in reports if report.depth > 0]
         exceeded: dict[str, float] = {}
         for report in in_sand:
@@ -147,8 +156,8 @@ class BodySummary:
         valid = [report.valid for report in in_sand]
         return cls(
             body=reports[0].body,
-            greatest_depth=float(max(report.depth for report in reports)),
-            greatest_force=float(np.linalg.norm([r.force for r in reports], axis=1).max()),
+            greatest_depth=float(max(depth, reports[-1].depth)),
+            greatest_force=float(max(force, np.linalg.norm(reports[-1].force))),
             energy_into_sand=float(energy),
             within_validity=sum(valid) / len(valid) if valid else None,
             exceeded=exceeded,
@@ -167,7 +176,8 @@ class DropResult:
         scheme: name of the scheme.
         timestep: [s].
         elements: number of elements.
-        rest: time from which every body stays where it is [s]; None if they still move.
+        rest: time from which every body of the model stays where it is and does not turn [s]; None
+            if they still move.
         bodies: one summary per body.
         t: times of the samples [s], shape (n,).
         qpos: shape (n, nq).
@@ -262,7 +272,7 @@ def run_drop(drop: Drop, *, progress: Callable[[float], None] | None = None) -> 
     meter, floors = WorkMeter(sand, data), watch_floors(model, drop.sand)
     watch, rest = RestWatch(), None
     check_every = max(1, round(REST_WINDOW / model.opt.timestep / 20))
-    moving = sorted({int(body) for body in sand.elements["body"]})
+    points = _watched(model)
     begin = data.time
     total = math.ceil(drop.duration / model.opt.timestep - 1e-9)
     for step in range(1, total + 1):
@@ -274,13 +284,13 @@ def run_drop(drop: Drop, *, progress: Callable[[float], None] | None = None) -> 
             sampler.take(time, recorder)
         sampler.look(time, last=step == total)
         if step % check_every == 0:
-            rest = watch.since if watch.still(time, data.xpos[moving]) else None
+            rest = watch.since if watch.still(time, points(data)) else None
         if progress is not None and step % _PROGRESS_STEPS == 0:
             progress(time)
     if not drop.keep_floor:
         warn_of_carrying(model, floors)
-    rows = recorder.rows()
-    reports = sampler.reports(rows)
+    rows, totals = recorder.rows(), (-meter.work, meter.force, meter.depth)
+    reports = recorder.reports
     arrays = {
         name: np.array([[getattr(body, name) for body in bodies] for bodies in reports])
         for name in ("depth", "point", "force", "power")
@@ -294,13 +304,28 @@ def run_drop(drop: Drop, *, progress: Callable[[float], None] | None = None) -> 
         timestep=float(model.opt.timestep),
         elements=len(sand.elements),
         rest=rest,
-        bodies=tuple(map(BodySummary.of, zip(*reports, strict=True), -meter.work)),
+        bodies=tuple(map(BodySummary.of, zip(*reports, strict=True), *totals)),
         t=rows[:, 0],
         qpos=rows[:, 1 : 1 + model.nq],
         qvel=rows[:, 1 + model.nq :],
         **arrays,
         prints=sampler.tracks(),
     )
+
+
+def _watched(model: mujoco.MjModel) -> Callable[[mujoco.MjData], np.ndarray]:
+    """Return a function for three points of each body that can move, as far out as its geoms."""
+    moving = np.flatnonzero(model.body_weldid)
+    size = np.zeros(model.nbody)
+    reach = np.linalg.norm(model.geom_pos, axis=1) + model.geom_rbound
+    np.maximum.at(size, model.geom_bodyid, reach)
+    size = size[moving, None]
+
+    def points(data: mujoco.MjData) -> np.ndarray:
+        place, axes = data.xpos[moving], data.xmat[moving].reshape(-1, 3, 3)
+        return np.stack([place, place + size * axes[:, :, 0], place + size * axes[:, :, 1]])
+
+    return points
 
 
 def load(drop: Drop) -> tuple[mujoco.MjModel, str]:

@@ -14,6 +14,7 @@ from mjgranular.experiment.impact import Impact, ImpactResult, Rest, Stop
 from mjgranular.experiment.sampling import Recorder, Sampler
 from mjgranular.experiment.trajectory import Trajectory
 from mjgranular.experiment.watch import REST_WINDOW, RestWatch, StopWatch
+from mjgranular.sand.work import WorkMeter
 
 # Energy that the sand may seem to give before the run is ended, over the energy there was to
 # begin with. A passive medium gives none; the explicit sign of the static force a little.
@@ -74,6 +75,7 @@ class _Run:
         self.rest: Rest | None = None
         self.steps = 0
         self.sampler = Sampler(self.sand, self.data, _TRACKS_FOR)
+        self.meter = WorkMeter(self.sand, self.data)
         self.before_stop = Recorder(7)
         self.after_stop = Recorder(7)
         # Energy is counted from the least that the link can have in reach: a drop by its length.
@@ -106,6 +108,7 @@ class _Run:
     def _step(self, progress: Callable[[float], None] | None) -> None:
         self.sand.step(self.data)
         self.steps += 1
+        self.meter.add()
         self.sampler.look(self.time)
         if progress is not None and self.steps % _PROGRESS_STEPS == 0:
             progress(self.time)
@@ -174,7 +177,10 @@ class _Run:
         assert self.watch.touchdown is not None
         q = float(self.data.qpos[2])
         lean = math.atan(math.tan(q)) if abs(math.cos(q)) > 1e-12 else math.pi / 2
-        depth = -float(self._ends()[1::2].min())
+        position, (x, z) = self.data.qpos.tolist(), self.link.lowest(q)
+        # Perhaps it has turned over.
+        ends = [self.link.tip(position, [0.0] * 3, end) for end in ((x, z), (-x, -z))]
+        depth = max(end[1] for end in ends)
         return Rest(time=since - self.watch.touchdown, depth=depth, angle=lean)
 
     def check_energy(self) -> None:
@@ -190,8 +196,9 @@ class _Run:
     def result(self) -> ImpactResult:
         """Return the finished run."""
         rows = np.vstack([self.before_stop.rows(), self.after_stop.rows()])
-        rows = rows[np.unique(rows[:, 0], return_index=True)[1]]
-        bodies = [bodies[0] for bodies in self.sampler.reports(rows)]
+        reports = self.before_stop.reports + self.after_stop.reports
+        first = np.unique(rows[:, 0], return_index=True)[1]
+        rows, bodies = rows[first], [reports[number][0] for number in first]
         return ImpactResult(
             impact=self.impact,
             law=self.impact.law or self.sand.law.name,
@@ -200,5 +207,6 @@ class _Run:
             rest=self.rest,
             trajectory=Trajectory.from_states(rows, self.link, self.gravity, bodies, self.point),
             steps=self.steps,
+            greatest_force=float(max(self.meter.force[0], np.linalg.norm(bodies[-1].force))),
             prints=self.sampler.tracks(),
         )

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
 import mujoco
-import numpy as np
 
 from mjgranular._util.checks import is_finite, kind_of
 from mjgranular.errors import InputError, shown
@@ -189,11 +188,11 @@ class Stop:
 
 @dataclass(frozen=True)
 class Rest:
-    """The instant from which both ends of the link stay where they are.
+    """The instant from which the link stays where it is.
 
     Attributes:
         time: time since T touched the surface [s].
-        depth: depth of the deeper end [m].
+        depth: depth of the lowest point [m].
         angle: angle of the link from the vertical [rad], in (-pi/2, pi/2].
     """
 
@@ -214,6 +213,7 @@ class ImpactResult:
         rest: when the link came to rest; None if it did not, or the run ended at the stop.
         trajectory: the samples.
         steps: number of steps taken.
+        greatest_force: of the sand, over all steps [N].
         prints: tracks in the sand; None for sand without memory.
     """
 
@@ -224,6 +224,7 @@ class ImpactResult:
     rest: Rest | None
     trajectory: Trajectory
     steps: int
+    greatest_force: float
     prints: Tracks | None = None
 
     def summary(self) -> dict[str, Any]:
@@ -250,6 +251,6 @@ class ImpactResult:
             "rest_time": None if rest is None else rest.time,
             "rest_depth": None if rest is None else rest.depth,
             "rest_angle_deg": None if rest is None else degrees(rest.angle),
-            "greatest_force": float(np.hypot(self.trajectory.F_x, self.trajectory.F_y).max()),
+            "greatest_force": self.greatest_force,
             "steps": self.steps,
         }

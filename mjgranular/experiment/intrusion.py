@@ -193,7 +193,9 @@ def run_intrusion(intrusion: Intrusion) -> IntrusionResult:
     down, along = math.sin(intrusion.direction), math.cos(intrusion.direction)
     motion = np.array([along, 0.0, -down])
     lift = np.array([down, 0.0, along])
-    mujoco.mju_axisAngle2Quat(data.qpos[3:7], [0.0, -1.0, 0.0], intrusion.tilt)
+    tilted, ids = np.zeros(4), np.unique(sand.elements["body"])
+    mujoco.mju_axisAngle2Quat(tilted, [0.0, -1.0, 0.0], intrusion.tilt)
+    mujoco.mju_mulQuat(data.qpos[3:7], tilted, model.qpos0[3:7])
     data.qvel[:3] = intrusion.speed * motion
     bodies = sand.report(data).bodies
     data.qpos[2] += max(body.depth for body in bodies) - intrusion.start
@@ -208,8 +210,7 @@ def run_intrusion(intrusion: Intrusion) -> IntrusionResult:
         center = data.subtree_com[1]
         total = sum((body.force for body in bodies), np.zeros(3))
         turning = np.zeros(3)
-        for body in bodies:
-            at = data.xipos[model.body(body.body).id]
+        for body, at in zip(bodies, data.xipos[ids], strict=True):
             turning += body.moment + np.cross(at - center, body.force)
         depth.append(max(body.depth for body in bodies))
         force.append([-total @ motion, total @ lift, total[1]])

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import mujoco
 import numpy as np
 
 from mjgranular.render import TrackRecorder, Tracks
 from mjgranular.sand import Sand
-from mjgranular.sand.report import BodyReport
 
 _KEEP = 4096  # samples kept at most of each phase; chosen, not measured
 
@@ -21,6 +22,7 @@ class Recorder:
 
     def __init__(self, width: int, keep: int = _KEEP) -> None:
         self._rows = np.empty((keep, width))
+        self._reports: list[Any] = []
         self._count = 0
         self._stride = 1
         self._skip = 0
@@ -33,40 +35,44 @@ class Recorder:
         self._skip = self._stride - 1
         return True
 
-    def take(self, *parts: np.ndarray | float) -> None:
-        """Take a sample."""
+    def take(self, *parts: np.ndarray | float, report: Any = None) -> None:
+        """Take a sample of numbers, with a report."""
         if self._count == len(self._rows):
             half = len(self._rows) // 2
             self._rows[:half] = self._rows[::2]
+            self._reports = self._reports[::2]
             self._count = half
             self._stride *= 2
             self._skip = self._stride - 1
         self._rows[self._count] = np.hstack(parts)
+        self._reports.append(report)
         self._count += 1
 
     def rows(self) -> np.ndarray:
         """Return a copy of the samples, shape (n, width)."""
         return self._rows[: self._count].copy()
 
+    @property
+    def reports(self) -> list[Any]:
+        """Return the reports of the samples."""
+        return list(self._reports)
+
 
 class Sampler:
-    """Samples of the state of a run.
+    """Samples of the state of a run, of what the sand does then, and its tracks if it remembers.
 
-    What sand with memory does follows from more than a state: its reports are kept with the
-    samples, and its tracks are recorded.
+    That follows from more than positions and velocities: from controls and memory too.
     """
 
     def __init__(self, sand: Sand, data: mujoco.MjData, duration: float) -> None:
         self._sand, self._data = sand, data
-        self._reports: dict[float, tuple[BodyReport, ...]] = {}
         self._tracks = None if sand.memory is None else TrackRecorder(sand, data, duration)
         self.look(0.0)
 
     def take(self, t: float, recorder: Recorder) -> None:
         """Take a sample at a time [s]: time, `qpos` and `qvel`."""
-        recorder.take(t, self._data.qpos, self._data.qvel)
-        if self._tracks is not None:
-            self._reports[t] = self._sand.report(self._data).bodies
+        report = self._sand.report(self._data).bodies
+        recorder.take(t, self._data.qpos, self._data.qvel, report=report)
 
     def look(self, t: float, *, last: bool = False) -> None:
         """Record the tracks at a time [s], if it is due; call this in every step."""
@@ -76,17 +82,3 @@ class Sampler:
     def tracks(self) -> Tracks | None:
         """Return the tracks; None for sand without memory."""
         return None if self._tracks is None else self._tracks.prints()
-
-    def reports(self, rows: np.ndarray) -> list[tuple[BodyReport, ...]]:
-        """Return what the sand did on each body, for each sample of shape (1 + nq + nv,)."""
-        model = self._sand.model
-        data = mujoco.MjData(model)
-        found = []
-        for row in rows:
-            bodies = self._reports.get(float(row[0]))
-            if bodies is None:
-                data.time = row[0]
-                data.qpos[:], data.qvel[:] = row[1 : 1 + model.nq], row[1 + model.nq :]
-                bodies = self._sand.report(data).bodies
-            found.append(bodies)
-        return found

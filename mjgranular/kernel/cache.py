@@ -105,7 +105,7 @@ def alone(build: str, name: str) -> Iterator[None]:
     Without locks of files, on Windows and some file systems, they do not wait.
     """
     root = next(_folders_to_write(), None)
-    if fcntl is None or root is None:
+    if root is None:
         yield
         return
     with ExitStack() as opened:
@@ -127,10 +127,13 @@ def _wait_for(file: IO[str]) -> None:
 
     Not by `flock`, which a forked process would hold too.
     """
+    if fcntl is None:
+        return
     until = time.monotonic() + _PATIENCE
     while time.monotonic() < until:
         try:
-            return fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return
         except OSError as error:
             if error.errno not in (errno.EACCES, errno.EAGAIN):
                 raise

@@ -107,7 +107,11 @@ def program_addresses(*programs: tuple[Any, str, str]) -> list[int]:
     named = [program for program in missing if "<" not in program[0].py_func.__qualname__]
     if named and len(missing) > len(named) and cache.can_wait():
         _compile_beside(named)
-    return [program_address(*program) if program[0] else 0 for program in programs]
+    addresses = [program_address(*program) if program[0] else 0 for program in programs]
+    for process in _beside:
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(1.0)  # it has saved its programs and ends
+    return addresses
 
 
 def _is_known(kernel: Any, signature: str, what: str) -> bool:
@@ -127,7 +131,7 @@ def _compile_beside(programs: list[tuple[Any, str, str]]) -> None:
         _beside.append(subprocess.Popen(started, stdin=none, stdout=none, stderr=none))
 
 
-_beside: list[subprocess.Popen[bytes]] = []  # a reference, without which Python warns
+_beside: list[subprocess.Popen[bytes]] = []  # kept, since Python warns of one that is forgotten
 
 
 def _python_function(function: Any, signature: str, keep: bool) -> Any:

@@ -16,6 +16,7 @@ from mjgranular._util.checks import check_data, check_model, check_switch
 from mjgranular.errors import InputError, UnstableError
 from mjgranular.kernel.compiled import entry
 from mjgranular.kernel.memory import UPDATE
+from mjgranular.kernel.options import NO_GRAVITY
 from mjgranular.law import Law
 from mjgranular.medium import Medium
 from mjgranular.relief.grid import TIME
@@ -112,7 +113,7 @@ class Sand:
         self._bindings: weakref.WeakKeyDictionary[mujoco.MjData, Binding] = (
             weakref.WeakKeyDictionary()
         )
-        self._slope = sand.surface.tilt(model)
+        self._slope, self._pull = sand.surface.tilt(model), model.opt.gravity.copy()
         self._names = Names.of(model, sand.elements)
         slots = sand.elements["slot"]
         self._members = [np.flatnonzero(slots == slot) for slot in range(len(np.unique(slots)))]
@@ -349,13 +350,17 @@ class Sand:
         if failed != FINE:
             raise self._failure(data, failed, binding)
         probe.time = data.time
+        pull = model.opt.gravity
+        weightless = model.opt.disableflags & NO_GRAVITY
+        if not np.array_equal(pull, self._pull):
+            self._slope, self._pull = self._sand.surface.tilt(model), pull.copy()
         report = describe(
             probe,
             sand=self._sand,
             members=self._members,
             names=self._names,
             binding=binding,
-            gravity=float(np.linalg.norm(model.opt.gravity)),
+            gravity=0.0 if weightless else float(np.linalg.norm(pull)),
             slope=self._slope,
             solver=self._solver(data),
         )
@@ -404,8 +409,8 @@ class Sand:
         """Return `xfrc_applied` without what `apply` has left in it."""
         applied = data.xfrc_applied.copy()
         binding = self._bindings.get(data)
-        if binding is not None:
-            for row in binding.bodies:
+        for share in () if binding is None else registry_of(data).down_to(binding):
+            for row in share.bodies:
                 if (applied[row["body"]] == row["last_wrench"]).all():
                     applied[row["body"]] = row["user_wrench"]
         return applied

@@ -85,6 +85,16 @@ class SandRegistry:
             self._withdraw_all()
         self._shares.append(binding)
 
+    def down_to(self, binding: Binding) -> list[Binding]:
+        """Return the shares that have come since a Sand's own, the latest first, and its own.
+
+        A Sand acts in addition to those that came before it.
+        """
+        for number, share in enumerate(self._shares):
+            if share is binding:
+                return self._shares[number:][::-1]
+        return [binding]
+
     def _withdraw_all(self) -> None:
         """Take all shares back, the latest first: each finds the row as it left it."""
         while self._shares:

@@ -84,4 +84,4 @@ class Bed(Surface):
         return {"top": self.record(model)["normal"][0]}
 
     def tilt(self, model: mujoco.MjModel) -> float:
-        return tilt_of(self.record(model)["normal"][0])
+        return tilt_of(self.record(model)["normal"][0], model)

@@ -133,4 +133,4 @@ class HeightField(Surface):
             dy = np.diff(heights, axis=0) / (2 * field["half_y"] / (field["rows"] - 1))
             dx = np.diff(heights, axis=1) / (2 * field["half_x"] / (field["columns"] - 1))
         steepest = math.atan(math.hypot(np.abs(dx).max(), np.abs(dy).max()))
-        return steepest + tilt_of(field["axes"].reshape(3, 3)[:, 2])
+        return steepest + tilt_of(field["axes"].reshape(3, 3)[:, 2], model)

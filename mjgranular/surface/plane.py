@@ -15,6 +15,7 @@ from mjgranular._util.checks import is_finite
 from mjgranular.errors import InputError, shown
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.vector import dot, read_vector
+from mjgranular.surface.place import tilt_of
 from mjgranular.surface.surface import Surface
 
 PLANE_DTYPE = np.dtype([("normal", np.float64, (3,)), ("offset", np.float64)])
@@ -88,4 +89,4 @@ class Plane(Surface):
         return {"offset": np.ones(())}
 
     def tilt(self, model: mujoco.MjModel) -> float:
-        return abs(self.slope)
+        return tilt_of(self.normal, model)

@@ -79,4 +79,4 @@ class Surface(ABC):
 
     @abstractmethod
     def tilt(self, model: mujoco.MjModel) -> float:
-        """Return the steepest angle of the surface from the horizontal [rad]."""
+        """Return the steepest angle of the surface from the horizontal, across gravity [rad]."""

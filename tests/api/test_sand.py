@@ -153,6 +153,43 @@ def test_two_beds_side_by_side_are_one(order):
     assert np.array_equal(halves.xfrc_applied[1], own)  # the other's share goes too, until it acts
 
 
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+def test_reports_of_shared_sands_are_their_parts_of_the_force(order):
+    """The implicit scheme balances all forces: each sand acts in addition to those before it."""
+    model = beds()
+    parts = [Sand(model, surface=Bed(name), law="rft3d", shared=True) for name in ("left", "right")]
+    data = mujoco.MjData(model)
+    model.geom_contype[:] = 0
+    data.xfrc_applied[1, 2] = -0.5
+    model.opt.timestep = 2e-3
+    for _ in range(1500):
+        reports = [parts[index].report(data)["rod"] for index in order]
+        mujoco.mj_step1(model, data)
+        for index in order:
+            parts[index].apply(data)
+        applied = data.xfrc_applied[1].copy()
+        mujoco.mj_step2(model, data)
+    total = sum(report.force for report in reports)
+    assert [*total[:2], total[2] - 0.5] == pytest.approx(applied[:3], abs=1e-6)
+    assert total[2] == pytest.approx(0.5 + 0.3 * 9.81, rel=1e-2)
+
+
+def test_a_report_takes_the_slope_against_gravity(everything):
+    data = mujoco.MjData(everything)
+    sand = Sand(everything)
+
+    def slopes():
+        found = [standing for body in sand.report(data).bodies for standing in body.validity]
+        return [one.value for one in found if one.limit.measure == "slope"]
+
+    assert set(slopes()) <= {0.0, None}
+    everything.opt.gravity[:] = 9.81 * np.sin(0.3), 0.0, -9.81 * np.cos(0.3)
+    assert set(slopes()) - {None}
+    assert all(slope is None or slope == pytest.approx(0.3) for slope in slopes())
+    everything.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_GRAVITY
+    assert {body.froude for body in sand.report(data).bodies} == {0.0}
+
+
 def test_shared_sands_leave_the_users_forces(link_model):
     parts = [
         Sand(link_model, law=law, shared=True, scheme="explicit")

@@ -249,6 +249,26 @@ def test_recorder_thins_evenly(steps, half):
     assert (rows[:, 1] == 2 * rows[:, 0]).all()
 
 
+@pytest.mark.parametrize("body", ["box", "plate", "cylinder"])
+def test_depth_at_rest_is_that_of_the_lowest_point(body):
+    impact = Impact(
+        body=body,
+        medium="quikrete_medium",
+        law="rft3d",
+        scheme="implicit",
+        speed=0.5,
+        timestep=1e-3,
+        duration=2.0,
+        until="rest",
+    )
+    result = run_impact(impact)
+    assert result.rest is not None
+    path, (x, _, z) = result.trajectory, impact.link.halves
+    q = float(path.q[-1])
+    reach = x * abs(math.sin(q)) + z * abs(math.cos(q))  # of the section in the plane of motion
+    assert result.rest.depth == pytest.approx(reach - path.z[-1], abs=1e-5)
+
+
 def test_recorder_takes_what_is_not_due():
     recorder = Recorder(1, keep=4)
     for value in range(5):

@@ -27,6 +27,75 @@ BALL = """
 """
 
 
+SERVO = """
+<mujoco>
+  <option timestep="2e-3" integrator="implicitfast"/>
+  <worldbody>
+    <body name="foot" pos="0 0 0.03">
+      <freejoint/>
+      <geom type="box" size="0.05 0.05 0.03" mass="3"/>
+      <body name="arm" pos="0 0 0.03">
+        <joint name="lift" type="slide" axis="0 0 1"/>
+        <geom type="sphere" size="0.02" pos="0 0 0.1" mass="1.5"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator><position joint="lift" kp="2000" kv="60"/></actuator>
+  <keyframe><key name="up" qpos="0 0 0.03 1 0 0 0 0.05" ctrl="0.05"/></keyframe>
+</mujoco>
+"""
+WHEEL = """
+<mujoco>
+  <worldbody>
+    <body name="foot" pos="0 0 0.03">
+      <freejoint/>
+      <geom name="sole" type="box" size="0.05 0.05 0.03" mass="3"/>
+      <body name="wheel" pos="0 0 0.2">
+        <joint axis="0 0 1"/>
+        <geom type="cylinder" size="0.03 0.01" mass="0.1"/>
+      </body>
+    </body>
+  </worldbody>
+  <keyframe><key name="spins" qpos="0 0 0.03 1 0 0 0 0" qvel="0 0 0 0 0 0 20"/></keyframe>
+</mujoco>
+"""
+
+
+def test_the_sampled_forces_are_those_with_the_controls(tmp_path):
+    path = tmp_path / "servo.xml"
+    path.write_text(SERVO)
+    result = run_drop(Drop(path, keyframe="up", duration=1.5, bodies="foot"))
+    assert result.force[-1, 0, 2] == pytest.approx(4.5 * 9.81, rel=1e-3)
+
+
+def test_a_model_of_which_a_part_turns_is_not_at_rest(tmp_path):
+    path = tmp_path / "wheel.xml"
+    path.write_text(WHEEL)
+    result = run_drop(Drop(path, keyframe="spins", duration=0.5, bodies="foot"))
+    assert result.rest is None
+    assert abs(result.qvel[-1, :6]).max() < 0.1
+
+
+def test_the_greatest_force_does_not_depend_on_the_duration(ball):
+    drop = Drop(ball, geoms="ball", height=0.1, duration=0.5)
+    short, long = run_drop(drop), run_drop(replace(drop, duration=12.0))
+    assert len(long.t) < 12.0 / long.timestep / 2
+    for name in ("greatest_force", "greatest_depth"):
+        assert getattr(long.bodies[0], name) == pytest.approx(getattr(short.bodies[0], name))
+
+
+def test_an_intruder_keeps_the_orientation_that_it_has_in_its_model(tmp_path):
+    forces = []
+    for number, euler in enumerate(("0 0 0", "0 90 0")):
+        path = tmp_path / f"{number}.xml"
+        block = f'<body euler="{euler}"><geom type="box" size="0.04 0.04 0.01"/></body>'
+        path.write_text(f"<mujoco><worldbody>{block}</worldbody></mujoco>")
+        forces.append(run_intrusion(Intrusion(model=path, depth=0.05)).force[-1, 0])
+    tilted = run_intrusion(Intrusion(model=tmp_path / "0.xml", depth=0.05, tilt=np.pi / 2))
+    assert tilted.force[-1, 0] == pytest.approx(forces[1], rel=1e-9)
+    assert forces[1] < 0.6 * forces[0]
+
+
 @pytest.fixture
 def ball(tmp_path):
     path = tmp_path / "ball.xml"
