@@ -33,6 +33,7 @@ def of_policy(name: str, seconds: float, **view: float) -> Iterator[np.ndarray]:
     """Pictures of an episode of a policy on sand that remembers, at the speed of life."""
     policy = load_policy(name)
     arguments = {**policy.run.settings.environment, "memory": 0.01}
+    arguments.pop("randomise", None)  # sand that is drawn has no memory
     env = environments.for_filming(
         policy.run.environment, arguments, width=WIDTH, height=HEIGHT, camera=None
     )
