@@ -182,6 +182,11 @@ def _take_over(where: str, run: Run, model: Any, env: Any) -> None:
             other.checked(run.environment, env)
     except GranularError as error:
         raise InputError(f"start_from: {error}") from None
+    if widens and other.run.settings.environment.get("observe_sand"):
+        raise InputError(
+            f"start_from: {where} observes the sand after all else, so this run can have no more "
+            f"observations ({new[0]}) than it ({old[0]})"
+        )
     names = ("algorithm", "net", "activation", "normalize_observations")
     theirs, ours = (
         ", ".join(f"{name} {shown(getattr(settings, name))}" for name in names)

@@ -153,11 +153,11 @@ def test_a_policy_that_does_not_fit_starts_nothing(change, message, trained, tmp
         train(run)
 
 
-def padded(**given: Any) -> gym.Env:
-    """The pendulum with two more observations."""
-    space = gym.spaces.Box(-np.inf, np.inf, (5,), np.float32)
+def padded(more: int = 2, observe_sand: bool = False, **given: Any) -> gym.Env:
+    """The pendulum with more observations."""
+    space = gym.spaces.Box(-np.inf, np.inf, (3 + more,), np.float32)
     env = gym.make(ID, **given)
-    return gym.wrappers.TransformObservation(env, lambda seen: np.append(seen, seen[:2]), space)
+    return gym.wrappers.TransformObservation(env, lambda seen: np.append(seen, seen[:more]), space)
 
 
 def test_observations_that_are_new_begin_with_no_weight(trained, tmp_path, monkeypatch):
@@ -173,6 +173,12 @@ def test_observations_that_are_new_begin_with_no_weight(trained, tmp_path, monke
     np.testing.assert_allclose(same.act(more, [0]), old.act(seen, [0]), rtol=1e-4, atol=1e-6)
     with pytest.raises(InputError, match="the observations of Pendulum-v1 must be those of"):
         train(begin_run(tmp_path / "back", ID, quick("ppo", f"start_from={run.path}"), seed=4))
+    sees = quick("ppo", "environment.observe_sand=true", "total_steps=128")
+    run = begin_run(tmp_path / "sees", "Padded-v0", sees, seed=4)
+    train(run)
+    wider = quick("ppo", f"start_from={run.path}", "environment.more=3")
+    with pytest.raises(InputError, match="observes the sand after all else"):
+        train(begin_run(tmp_path / "wider", "Padded-v0", wider, seed=4))
 
 
 def test_options_of_an_environment_may_be_infinite(tmp_path):
