@@ -30,6 +30,8 @@ _SHAPES = {
 }
 """Type and size of each intruder, in halves of `Intrusion.size`."""
 
+_MOST_POINTS = 100_000  # chosen: about a minute
+
 
 @dataclass(frozen=True)
 class Intrusion:
@@ -51,7 +53,7 @@ class Intrusion:
         start: depth of the deepest point at the start [m].
         depth: depth of the deepest point at the end of a path that goes down or up [m].
         distance: length of the path [m]. Default: as far as `depth` asks for.
-        points: number of samples.
+        points: number of samples, from 2 to 100 000.
         medium: name of the sand, see `mjgranular list media`, or a YAML file.
     """
 
@@ -86,6 +88,8 @@ class Intrusion:
                     f"{degrees(getattr(self, name)):g} degrees ({getattr(self, name):.4g} rad)"
                 )
         check_count("points", self.points, least=2)
+        if self.points > _MOST_POINTS:
+            raise InputError(f"points must be at most {_MOST_POINTS}, not {self.points}")
         if self.geom is not None and self.model is None:
             raise InputError("--geom is the name of a geom of a model: give the model too")
         _ = self.length

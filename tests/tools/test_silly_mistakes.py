@@ -156,6 +156,7 @@ impact --density 0 | the link's density must be positive and finite
 intrude --intruder cube | invalid choice 'cube' for argument '--intruder'. Expected one of
 intrude --depth -0.1 | the path never gets from 0.0 m to -0.1 m: it goes down
 intrude --points 1 | points must be at least 2
+intrude --points 99999999999 | points must be at most 100000
 intrude --size 0 | the size must be positive and finite
 intrude --geom foot | --geom ... give the model too
 intrude --model block.xml --geom foot | no geom of the model 'foot'; there are:
