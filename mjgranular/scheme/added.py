@@ -166,11 +166,11 @@ def added_kernel(kernel: LawKernel) -> Any:
         s = dot(n, v)
         rate = choose(s > _NOTHING, sand.rate, 0.0)
         a = sand.start - rate * s
-        # (A5), with the derivative of the bound by v'.
+        # (A5), with the derivative of the bound by v', which is constant where it is zero.
         bound, by_power, per_speed = most_given(n, force, v)
         across = transposed(slope)
         of_power = per_speed * (across @ v - force - bound * n)
-        by_v = one_of(by_power, of_power, across @ n)
+        by_v = one_of(bound > 0.0, one_of(by_power, of_power, across @ n), 0.0 * n)
         limited = a > bound
         write_slack(tile, first + SLACK * lanes, bound - a)
         a = choose(limited, bound, a)
