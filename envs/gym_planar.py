@@ -159,7 +159,7 @@ class Hopper(_Legged):
     `reward_forward` + `reward_survive` + `reward_ctrl`, as in `Hopper-v5`.
 
     ## Starting State
-    As in `Hopper-v5`, its foot a centimetre over the sand.
+    As in `Hopper-v5`, its foot 4 cm over the sand.
 
     ## Episode End
     Terminated when unhealthy, as in `Hopper-v5`: the foot sinks in by a few centimetres, while the
@@ -204,7 +204,7 @@ class Walker2d(_Legged):
     `reward_forward` + `reward_survive` + `reward_ctrl`, as in `Walker2d-v5`.
 
     ## Starting State
-    As in `Walker2d-v5`, its feet a centimetre over the sand.
+    As in `Walker2d-v5`, its feet 4 cm over the sand.
 
     ## Episode End
     Terminated when unhealthy, as in `Walker2d-v5`. Truncated after 1000 steps.

@@ -113,7 +113,7 @@ class SandRanges:
         object.__setattr__(self, name, (low, high))
 
     def check_within(self, other: SandRanges, origin: str) -> None:
-        """Check that a curriculum or a reset samples only sand that the model has."""
+        """Check that a curriculum or a reset names only sand that the model has."""
         for field in fields(self):
             if field.name in ("media", "laws", "surfaces"):
                 wanted, there = getattr(self, field.name), getattr(other, field.name)
@@ -234,6 +234,13 @@ def next_ranges(
     if not isinstance(given, SandRanges):
         raise InputError(f"the curriculum must give a SandRanges, not {given!r}")
     given.check_within(ranges, "the curriculum")
+    for name in _DRAWN:
+        (low, high), (least, most) = getattr(given, name), getattr(ranges, name)
+        if low < least or high > most:
+            raise InputError(
+                f"{name} of the curriculum must be within that of randomise, {(least, most)}, not "
+                f"{(low, high)}"
+            )
     return given
 
 

@@ -49,8 +49,9 @@ _TRIES = 5
 
 
 @contextmanager
-def atomic_write(file: Path) -> Iterator[Path]:
+def atomic_write(file: Path | str) -> Iterator[Path]:
     """Return a path to write to; at the end its content replaces `file` atomically."""
+    file = Path(file)
     with _staged(file, file, file.suffix) as part:  # writers choose the format by the suffix
         yield part
         _flush(part)

@@ -7,13 +7,16 @@ from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
+from mjgranular._version import __version__
+
 _PACKAGES = ("mjgranular", "mujoco", "numpy", "numba")
 
 
 def versions(*further: str) -> dict[str, Any]:
     """Return versions of Python, of packages that affect results and of `further`; the platform."""
     found: dict[str, Any] = {"python": platform.python_version(), "platform": platform.platform()}
-    for package in (*_PACKAGES, *further):
+    found["mjgranular"] = __version__  # that of an editable installation may be old
+    for package in (*_PACKAGES[1:], *further):
         try:
             found[package] = version(package)
         except PackageNotFoundError:

@@ -407,12 +407,13 @@ def _place(drop: Drop, model: mujoco.MjModel, data: mujoco.MjData, sand: Sand) -
             "the model has no free joint and no vertical slide at its root: it can be neither "
             "lifted (--height) nor thrown (--velocity); use a keyframe instead"
         )
-    for position, velocity, sign in roots:
+    for _, velocity, sign in roots:
         data.qvel[velocity] -= sign * drop.velocity
-        if drop.height is not None:
-            # Once is exact for a level surface; along a slope depth grows with its cosine.
-            for _ in range(8):
-                depth = max(body.depth for body in sand.report(data).bodies)
+    if drop.height is not None:
+        # Once is exact for a level surface; along a slope depth grows with its cosine.
+        for _ in range(8):
+            depth = max(body.depth for body in sand.report(data).bodies)
+            for position, _, sign in roots:
                 data.qpos[position] += sign * (drop.height + depth)
 
 

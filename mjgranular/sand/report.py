@@ -36,8 +36,9 @@ class ElementReport:
         velocity: velocity of that point [m/s], shape (3,); zero above the sand. It is that at the
             beginning of the step.
         force: force of the sand on the element [N], shape (3,).
-        power: power of that force on the body [W]; never positive for a dissipative law. Under the
-            implicit scheme it is that at the end of the step, where the force is.
+        power: power of that force on the body [W]. Under the implicit scheme it is that at the end
+            of the step, where the force is: never positive in sum over a body, and up to a
+            hundredth of the greatest for one element.
         froude: Froude number |v_E| / sqrt(g w) with the geom's width w, a rod's diameter; 0
             without gravity.
         width: width of the geom [m].

@@ -171,9 +171,8 @@ def test_a_batch_asks_a_curriculum_for_each_simulation():
     def harder(episode):
         return SandRanges(slope=(0.01 * episode, 0.01 * episode))
 
-    batch = SandVectorEnv(
-        "ChainSwim", 2, randomise=SandRanges(), curriculum=harder, max_episode_steps=1
-    )
+    ranges = SandRanges(slope=(0.0, 0.3))
+    batch = SandVectorEnv("ChainSwim", 2, randomise=ranges, curriculum=harder, max_episode_steps=1)
     batch.reset(seed=0)
     batch.step(np.zeros((2, 6)))
     _, _, _, _, info = batch.step(np.zeros((2, 6)))
@@ -269,6 +268,13 @@ def test_wrong_input_is_told():
         curriculum=lambda episode: SandRanges(media=("glass_beads",)),
     )
     with pytest.raises(InputError, match="media of the curriculum have 'glass_beads', which"):
+        env.reset(seed=0)
+    env = SandEnv(
+        "ChainSwim",
+        randomise=SandRanges(slope=(-0.1, 0.1)),
+        curriculum=lambda episode: SandRanges(slope=(0.0, 0.3)),
+    )
+    with pytest.raises(InputError, match=r"slope of the curriculum must be within .*\(-0.1, 0.1\)"):
         env.reset(seed=0)
 
 

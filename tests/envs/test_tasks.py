@@ -331,7 +331,7 @@ def test_wrong_input_is_told():
         on_sand("Hopper-v5", medium="mud")
     with pytest.raises(InputError, match=r"no law 'wet'; there are: depth_velocity"):
         gym.make(id_of("ChainSwim"), law="wet")
-    with pytest.raises(UnknownNameError, match=r"no environment 'Chain'; there are: Ant, ChainC"):
+    with pytest.raises(UnknownNameError, match=r"no environment 'Chain'; .*ChainC"):
         SandEnv("Chain")
     with pytest.raises(
         InputError, match=r"ChainSwim has no option 'link'; it has: medium, .*links"

@@ -76,6 +76,20 @@ def test_a_model_of_which_a_part_turns_is_not_at_rest(tmp_path):
     assert abs(result.qvel[-1, :6]).max() < 0.1
 
 
+@pytest.mark.parametrize("slope", [0.0, 0.3])
+def test_bodies_are_lifted_together(slope, tmp_path):
+    path = tmp_path / "two.xml"
+    bodies = [
+        f'<body pos="{x} 0 {z}"><freejoint/><geom type="box" size="0.02 0.02 0.02"/></body>'
+        for x, z in ((0.0, 0.5), (0.3, 0.05))
+    ]
+    path.write_text(f"<mujoco><worldbody>{''.join(bodies)}</worldbody></mujoco>")
+    result = run_drop(Drop(path, height=0.1, slope=slope, duration=1e-2))
+    heights = result.qpos[0, [2, 9]]
+    assert heights[0] - heights[1] == pytest.approx(0.45, abs=1e-12)
+    assert result.depth[0].max() == pytest.approx(-0.1, abs=1e-9)
+
+
 def test_the_greatest_force_does_not_depend_on_the_duration(ball):
     drop = Drop(ball, geoms="ball", height=0.1, duration=0.5)
     short, long = run_drop(drop), run_drop(replace(drop, duration=12.0))
