@@ -169,7 +169,7 @@ def test_reports_of_shared_sands_are_their_parts_of_the_force(order):
             parts[index].apply(data)
         applied = data.xfrc_applied[1].copy()
         mujoco.mj_step2(model, data)
-    total = sum(report.force for report in reports)
+    total = np.sum([report.force for report in reports], axis=0)
     assert [*total[:2], total[2] - 0.5] == pytest.approx(applied[:3], abs=1e-6)
     assert total[2] == pytest.approx(0.5 + 0.3 * 9.81, rel=1e-2)
 
