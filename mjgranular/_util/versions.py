@@ -9,14 +9,17 @@ from typing import Any
 
 from mjgranular._version import __version__
 
-_PACKAGES = ("mjgranular", "mujoco", "numpy", "numba")
+_PACKAGES = ("mujoco", "numpy", "numba")
 
 
 def versions(*further: str) -> dict[str, Any]:
     """Return versions of Python, of packages that affect results and of `further`; the platform."""
-    found: dict[str, Any] = {"python": platform.python_version(), "platform": platform.platform()}
-    found["mjgranular"] = __version__  # that of an editable installation may be old
-    for package in (*_PACKAGES[1:], *further):
+    found: dict[str, Any] = {
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "mjgranular": __version__,  # that of an editable installation may be old
+    }
+    for package in (*_PACKAGES, *further):
         try:
             found[package] = version(package)
         except PackageNotFoundError:
@@ -28,7 +31,7 @@ def mismatch(here: Mapping[str, Any], there: Mapping[str, Any]) -> str | None:
     """Return packages whose versions differ in two processes, with both; None if none do."""
     different = [
         f"{name} {there.get(name) or 'none'} there and {here.get(name) or 'none'} here"
-        for name in _PACKAGES
+        for name in ("mjgranular", *_PACKAGES)
         if here.get(name) != there.get(name)
     ]
     return ", ".join(different) or None

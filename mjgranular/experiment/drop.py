@@ -144,7 +144,7 @@ class BodySummary:
             reports: at all samples.
             energy: that it gave [J].
             force: the greatest, over all steps but the last [N].
-            depth: likewise [m].
+            depth: the greatest, over all steps but the last [m].
         """
         in_sand = [report for report in reports if report.depth > 0]
         exceeded: dict[str, float] = {}

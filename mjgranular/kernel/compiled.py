@@ -108,9 +108,10 @@ def program_addresses(*programs: tuple[Any, str, str]) -> list[int]:
     if named and len(missing) > len(named) and cache.can_wait():
         _compile_beside(named)
     addresses = [program_address(*program) if program[0] else 0 for program in programs]
-    for process in _beside:
-        with suppress(subprocess.TimeoutExpired):
-            process.wait(1.0)  # it has saved its programs and ends
+    if missing:
+        for process in _beside:
+            with suppress(subprocess.TimeoutExpired):
+                process.wait(1.0)  # it has saved its programs and ends
     return addresses
 
 
