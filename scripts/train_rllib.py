@@ -26,6 +26,7 @@ def main(env_id: str, iterations: int, out: Path) -> None:
             num_envs_per_env_runner=8,
             gym_env_vectorize_mode="vector_entry_point",
             rollout_fragment_length=256,
+            sample_timeout_s=600,  # RLlib drops samples that take longer; the first one compiles
             env_to_module_connector=lambda *_: MeanStdFilter(),
         )
         .training(
