@@ -10,8 +10,8 @@ from typing import Any, get_type_hints
 
 from mjgranular._util.extras import require
 from mjgranular._util.io import place
+from mjgranular.calibrate.fit import FitResult
 from mjgranular.calibrate.material import DENSITY, STRENGTH
-from mjgranular.calibrate.result import FitResult
 from mjgranular.errors import GranularError, InputError, shown
 from mjgranular.law import Law, law_in, laws
 from mjgranular.medium import Medium, Quantity, get_medium
