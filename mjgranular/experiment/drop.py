@@ -33,8 +33,7 @@ from mjgranular.experiment.ground import (
     warn_of_carrying,
     watch_floors,
 )
-from mjgranular.experiment.sampling import Recorder, Sampler
-from mjgranular.experiment.watch import REST_WINDOW, RestWatch
+from mjgranular.experiment.sampling import REST_WINDOW, Recorder, RestWatch, Sampler
 from mjgranular.models import robot_path
 from mjgranular.render import Tracks
 from mjgranular.render.scenery import add_scenery, place_sun
