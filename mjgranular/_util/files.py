@@ -123,12 +123,12 @@ def read_consistent(folder: Path, name: str, read: Callable[[], T]) -> T:
             return (time.monotonic_ns(),) if (folder / _READY).exists() else ()
         return there.st_ino, there.st_mtime_ns, there.st_size
 
-    for last in (False,) * (_TRIES - 1) + (True,):
+    for tries in range(1, _TRIES + 1):
         before, moving = state(), (folder / _READY).exists()
         try:
             found = read()
         except OutputError:
-            if last or (state() == before and not moving):
+            if tries == _TRIES or (state() == before and not moving):
                 raise
         else:
             if state() == before:
@@ -241,11 +241,9 @@ def locked(folder: Path, name: str = LOCK) -> Iterator[None]:
     finally:
         if os.name == "nt":  # where an open file cannot be removed
             os.close(descriptor)
-            with suppress(OSError):
-                file.unlink()
-        else:
-            with suppress(OSError):
-                file.unlink()
+        with suppress(OSError):
+            file.unlink()
+        if os.name != "nt":
             os.close(descriptor)
 
 

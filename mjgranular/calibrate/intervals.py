@@ -293,7 +293,8 @@ def _drops(drops: Sequence[DropTrial], body: Body) -> Iterator[tuple[str, Run]]:
         for speed in wanted
         if all(not 1 / _OTHER_SPEED < speed / max(v, 1e-9) < _OTHER_SPEED for v in speeds)
     ]
-    found += [(body.heavier(_OTHER), speeds[0])] if speeds else []
+    mass = _OTHER * body.projectile.mass
+    found += [(replace(body, mass=mass, density=None), speeds[0])] if speeds else []
     time = np.linspace(0.0, duration, 4)
     for dropped, speed in found:
         record = {"time": time, "depth": speed * time + 0.1 * GRAVITY * time**2}

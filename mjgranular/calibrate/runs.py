@@ -78,7 +78,7 @@ class Body:
     @property
     def size(self) -> float:
         """Largest extent [m]."""
-        return max(self.diameter, 0.0 if self.length is None else self.length)
+        return max(self.diameter, self.length or 0.0)
 
     def describe(self) -> str:
         """Return a short description."""
@@ -87,10 +87,6 @@ class Body:
             size = f"{self.length * 1e3:g} x {size}"
         weight = f", {self.projectile.mass * 1e3:.3g} g" if self.is_heavy else ""
         return f"{self.shape} of {size}{weight}"
-
-    def heavier(self, factor: float) -> Body:
-        """Return the same body with its mass multiplied by `factor`."""
-        return Body(self.shape, self.diameter, self.length, self.projectile.mass * factor)
 
 
 FitKind = Literal["drop", "intrude", "drag", "model"]
@@ -126,8 +122,6 @@ _JOINTS = {
     "walk": ("x",),
 }
 """Joints that a body from an MJCF file needs, by kind of run."""
-
-_PUSH_SPEED = 0.01  # default speed of a push [m/s]: slow
 
 
 @dataclass(frozen=True)
@@ -201,11 +195,6 @@ class Run:
             known = sum(self._columns, ())
             if column not in known:
                 raise UnknownNameError(f"column of a {self.kind}", column, known)
-
-    @property
-    def push_speed(self) -> float:
-        """Speed of a push [m/s]."""
-        return self.speed or _PUSH_SPEED
 
     @property
     def _columns(self) -> tuple[tuple[str, ...], tuple[str, ...]]:

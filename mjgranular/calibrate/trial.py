@@ -17,6 +17,7 @@ from mjgranular.calibrate.simulate import MOVES, Simulator, place, simulator_of,
 from mjgranular.errors import InputError, UnstableError, shown
 
 _POINTS = 41  # points at which the force of a smooth path is computed; linear in between
+_PUSH_SPEED = 0.01  # default speed of a push [m/s]: slow
 _UNITS = (("mm", 1e-3), ("cm", 1e-2))
 _DEEPEST = 20.0  # depth of a push, at most, in largest extents of the body; chosen, wide
 
@@ -143,7 +144,8 @@ class PushTrial(Trial):
         self.places = rows[self.axis]
         self.series = _series({name: rows.get(name) for name in names})
         ends = float(self.places.min()), float(self.places.max())
-        self.speeds = ends if self.axis == "speed" else (run.push_speed,)
+        self._speed = run.speed or _PUSH_SPEED
+        self.speeds = ends if self.axis == "speed" else (self._speed,)
         few = self.axis == "speed" or len(self.places) <= _POINTS
         self._simulated = self._run_at(
             np.unique(self.places) if few else np.linspace(*ends, _POINTS)
@@ -158,7 +160,7 @@ class PushTrial(Trial):
             motion = Motion(depth=none + run.depth, speed=places, force=none)
         angle = float(np.degrees(run.angle))
         body = run.body.projectile
-        return MeasuredRun(run.name, run.kind, body, motion, speed=run.push_speed, angle=angle)
+        return MeasuredRun(run.name, run.kind, body, motion, speed=self._speed, angle=angle)
 
     def simulate(self, material: Material) -> Motion:
         self._simulator.use(material)

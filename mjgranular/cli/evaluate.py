@@ -59,9 +59,9 @@ class EvaluateCommand(OutputOptions):
             rows = [score.as_json() for score in scores]
             if folder is not None:
                 names = ("policies", "agent", "env", "on", "seeds", "first_seed")
-                with folder.published():
-                    folder.write_config("evaluate", {name: getattr(self, name) for name in names})
-                    folder.write_json(SUMMARY, rows)
+                config = {name: getattr(self, name) for name in names}
+                with folder.published("evaluate", config, rows):
+                    pass  # there are no other files
             if self.json:
                 print_json(rows)
             else:

@@ -12,7 +12,6 @@ from typing import Annotated
 
 import tyro
 from rich.table import Table
-from rich.text import Text
 
 from mjgranular._util import files
 from mjgranular._util.versions import versions
@@ -163,16 +162,14 @@ def _percent(width: float) -> str:
 
 
 def _constants(result: FitResult) -> Table:
-    shown = Table(title=f"Constants of {result.material.law.name}", title_justify="left")
-    for heading in ("constant", "value", "95 % interval", "unit", "determined"):
-        justify = "right" if heading in ("value", "95 % interval") else "left"
-        shown.add_column(Text(heading), justify=justify)
+    rows = []
     for name, value in result.values.items():
         low, high = ("..." if end is None else f"{end:.4g}" for end in result.intervals[name])
         determined = "yes" if result.identifiable[name] else "no"
         unit = "" if name == "strength" else result.material.unit(name)
-        shown.add_row(name, f"{value:.4g}", f"{low} to {high}", unit, determined)
-    return shown
+        rows.append((name, f"{value:.4g}", f"{low} to {high}", unit, determined))
+    headings = ("constant", "value", "95 % interval", "unit", "determined")
+    return table(f"Constants of {result.material.law.name}", headings, rows, right=(1, 2))
 
 
 def _errors(title: str, errors: Mapping[str, Errors]) -> Table:

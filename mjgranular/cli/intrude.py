@@ -33,10 +33,9 @@ class IntrudeCommand(OutputOptions, options_of(Intrusion)):
         with self.claimed(CONFIG, SUMMARY, _CSV, _FIGURE) as folder:
             result = run_intrusion(intrusion)
             if folder is not None:
-                with folder.published():
-                    folder.write_config("intrude", {**intrusion.config(), "law": result.law})
+                config = {**intrusion.config(), "law": result.law}
+                with folder.published("intrude", config, result.rows()):
                     folder.write(_CSV, lambda path: _write_csv(path, result))
-                    folder.write_json(SUMMARY, result.rows())
             if self.json:
                 print_json(result.rows())
             else:

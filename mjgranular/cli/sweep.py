@@ -125,9 +125,9 @@ class SweepCommand(OutputOptions):
             "interrupted": result.interrupted,
             "failures": [result.describe(failure) for failure in result.failures],
         }
-        with folder.published(keep=(UNFINISHED,) if unfinished else ()):
-            folder.write_config("sweep", {**study.config(), "interrupted": result.interrupted})
-            folder.write_json(SUMMARY, summary)
+        config = {**study.config(), "interrupted": result.interrupted}
+        keep = (UNFINISHED,) if unfinished else ()
+        with folder.published("sweep", config, summary, keep=keep):
             folder.write("sweep.csv", result.write_csv)
             try:
                 _draw(folder, result)

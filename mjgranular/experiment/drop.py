@@ -31,15 +31,16 @@ from mjgranular.experiment.ground import (
     hide_replaced,
     refuse_floors,
     warn_of_carrying,
-    watch_floors,
 )
 from mjgranular.experiment.sampling import REST_WINDOW, Recorder, RestWatch, Sampler
 from mjgranular.models import robot_path
 from mjgranular.render import Tracks
 from mjgranular.render.scenery import add_scenery, place_sun
 from mjgranular.sand import Sand
+from mjgranular.sand.chosen import geoms_in_sand
 from mjgranular.sand.report import BodyReport
 from mjgranular.sand.work import WorkMeter
+from mjgranular.surface.floors import FloorWatch
 
 LARGEST_STEP = 1e-4
 """Of a run with the explicit scheme whose time step is left to us [s]; chosen, not measured."""
@@ -137,14 +138,7 @@ class BodySummary:
     def of(
         cls, reports: Sequence[BodyReport], energy: float, force: float, depth: float
     ) -> BodySummary:
-        """Summarize a body.
-
-        Args:
-            reports: at all samples.
-            energy: that it gave [J].
-            force: the greatest, over all steps but the last [N].
-            depth: the greatest, over all steps but the last [m].
-        """
+        """Summarize a body: all samples; energy [J], force [N] and depth [m] but at the last."""
         in_sand = [report for report in reports if report.depth > 0]
         exceeded: dict[str, float] = {}
         for report in in_sand:
@@ -268,7 +262,8 @@ def run_drop(drop: Drop, *, progress: Callable[[float], None] | None = None) -> 
     recorder = Recorder(1 + model.nq + model.nv, keep=2048)
     recorder.due()
     sampler.take(0.0, recorder)
-    meter, floors = WorkMeter(sand, data), watch_floors(model, drop.sand)
+    meter = WorkMeter(sand, data)
+    floors = FloorWatch(model, geoms_in_sand(model, drop.sand), drop.surface)
     watch, rest = RestWatch(), None
     check_every = max(1, round(REST_WINDOW / model.opt.timestep / 20))
     points = _watched(model)

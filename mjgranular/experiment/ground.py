@@ -112,11 +112,6 @@ def refuse_floors(model: mujoco.MjModel, sand: SandSpec) -> None:
         raise InputError(_about(model, floors, WOULD_CARRY))
 
 
-def watch_floors(model: mujoco.MjModel, sand: SandSpec) -> FloorWatch:
-    """Return a watch for ground of the model that carries it during a run."""
-    return FloorWatch(model, geoms_in_sand(model, sand), surface_of(sand.surface))
-
-
 def warn_of_carrying(model: mujoco.MjModel, watch: FloorWatch) -> None:
     """Warn at the end of a run if ground of the model has carried it."""
     if floors := sorted(watch.floors):

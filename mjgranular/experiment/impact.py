@@ -135,10 +135,6 @@ class Impact:
             return self.scheme
         return "implicit" if get_law(self.law, get_medium(self.medium)).adds_mass else "explicit"
 
-    def sand(self, model: mujoco.MjModel) -> Sand:
-        """Return the sand, on the link's model."""
-        return Sand(model, self.described)
-
     @property
     def described(self) -> SandSpec:
         """Description of the sand."""
@@ -302,7 +298,7 @@ class _Run:
         self.impact = impact
         self.link = impact.link
         self.model = self.link.model(impact.timestep)
-        self.sand = impact.sand(self.model)
+        self.sand = Sand(self.model, impact.described)
         self.data = mujoco.MjData(self.model)
         self.data.qpos[:] = self.link.touching(impact.angle)
         self.data.qpos[1] += impact.height

@@ -35,6 +35,12 @@ from mjgranular.pool import Failure, Journal, Mapped, Workers, map_tasks
 Row = dict[str, Any]
 """Result of one experiment: plain numbers and names."""
 
+Custom = tuple[list[type[Law]], dict[str, Medium]]
+"""Laws and media that are not part of the package: what a study needs besides, and workers too.
+
+Workers import laws from the modules that define them.
+"""
+
 
 @dataclass(kw_only=True)
 class StudyResult(Mapped):
@@ -108,7 +114,7 @@ def run_study(
     check_kind(study, Study, "run_study", "Study(experiment, {'speed': [1.0, 2.0]})")
     if journal is not None:
         check_kind(journal, Journal, "run_study", "journal_of(study, folder), opened")
-    custom = Custom.of(study)
+    custom = custom_of(study)
     if journal is None or journal.count < len(study):
         _try(study.at(0))
     mapped = map_tasks(
@@ -166,8 +172,12 @@ def _with_absolute_path(experiment: Experiment) -> Experiment:
 
 def _row(shared: tuple[Experiment, Custom], values: Mapping[str, Value]) -> Row:
     """Return the row of one experiment, in any process; the varied values come first."""
-    experiment, custom = shared
-    custom.register()
+    experiment, (custom_laws, custom_media) = shared
+    for law in custom_laws:
+        if law.name not in laws:
+            register_law(law)
+    for name, medium in custom_media.items():
+        media.add(name, medium, replace=True)
     varied = {column_of(name): value_in_table(name, value) for name, value in values.items()}
     row = {**varied, **run_experiment(with_values(experiment, values)), **varied}
     # Tables have no infinities: the cell is empty.
@@ -181,33 +191,12 @@ _LARGEST = 256 * 2**20  # bytes of a file; chosen
 _SHIPPED = dict(media)  # those of the package: every worker has them
 
 
-@dataclass(frozen=True)
-class Custom:
-    """Laws and media that are not part of the package; can be sent to workers.
-
-    Attributes:
-        laws: classes, which workers import from the modules that define them.
-        media: by name.
-    """
-
-    laws: tuple[type[Law], ...]
-    media: Mapping[str, Medium]
-
-    @classmethod
-    def of(cls, study: Study) -> Custom:
-        """Return what a study uses; a law defined where workers cannot import it is an error."""
-        names = {text.partition(" density=")[0] for text in _words(study, "medium")}
-        used = {name: get_medium(name) for name in sorted(names)}
-        others = {name: one for name, one in used.items() if _SHIPPED.get(name) is not one}
-        return cls(tuple(_laws(study)), others)
-
-    def register(self) -> None:
-        """Register the laws and media in this process."""
-        for law in self.laws:
-            if law.name not in laws:
-                register_law(law)
-        for name, medium in self.media.items():
-            media.add(name, medium, replace=True)
+def custom_of(study: Study) -> Custom:
+    """Return what a study uses; a law defined where workers cannot import it is an error."""
+    names = {text.partition(" density=")[0] for text in _words(study, "medium")}
+    used = {name: get_medium(name) for name in sorted(names)}
+    others = {name: one for name, one in used.items() if _SHIPPED.get(name) is not one}
+    return list(_laws(study)), others
 
 
 def _laws(study: Study) -> Iterator[type[Law]]:
@@ -232,12 +221,12 @@ def _words(study: Study, name: str) -> list[str]:
 
 def digest(study: Study) -> str:
     """Return a digest of the files, laws and media on which the results of a study depend."""
-    custom, digest = Custom.of(study), hashlib.sha256()
-    modules = [Path(sys.modules[law.__module__].__file__ or "") for law in custom.laws]
+    (custom_laws, custom_media), digest = custom_of(study), hashlib.sha256()
+    modules = [Path(sys.modules[law.__module__].__file__ or "") for law in custom_laws]
     for path in [*_files(study.experiment), *modules]:
         content = read_file(path, "a file of the study", largest=_LARGEST)
         digest.update(f"{path.name}\0{len(content)}\0".encode() + content)
-    for name, medium in custom.media.items():
+    for name, medium in custom_media.items():
         digest.update(f"{name}\0{medium}".encode())
     return digest.hexdigest()
 

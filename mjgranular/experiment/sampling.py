@@ -23,7 +23,7 @@ class Recorder:
 
     def __init__(self, width: int, keep: int = _KEEP) -> None:
         self._rows = np.empty((keep, width))
-        self._reports: list[Any] = []
+        self.reports: list[Any] = []
         self._count = 0
         self._stride = 1
         self._skip = 0
@@ -41,22 +41,17 @@ class Recorder:
         if self._count == len(self._rows):
             half = len(self._rows) // 2
             self._rows[:half] = self._rows[::2]
-            self._reports = self._reports[::2]
+            self.reports = self.reports[::2]
             self._count = half
             self._stride *= 2
             self._skip = self._stride - 1
         self._rows[self._count] = np.hstack(parts)
-        self._reports.append(report)
+        self.reports.append(report)
         self._count += 1
 
     def rows(self) -> np.ndarray:
         """Return a copy of the samples, shape (n, width)."""
         return self._rows[: self._count].copy()
-
-    @property
-    def reports(self) -> list[Any]:
-        """Return the reports of the samples."""
-        return list(self._reports)
 
 
 class Sampler:
@@ -101,21 +96,13 @@ _MOST_AVERAGED = 32
 
 
 class StopWatch:
-    """Touchdown and stop of a point, from its depth and velocity at every step.
-
-    Attributes:
-        touchdown: time since the first step at which the point touched the sand [s]; None until
-            then.
-        time: time from the touchdown until its vertical velocity was first zero [s]; None until
-            then.
-        depth: its depth then [m].
-        part: when this was, in steps after the last but one.
-    """
+    """Touchdown and stop of a point, from its depth and velocity at every step."""
 
     def __init__(self, timestep: float) -> None:
-        self.touchdown: float | None = None
-        self.time: float | None = None
-        self.depth = self.part = 0.0
+        self.touchdown: float | None = None  # time from the first step to the touch [s]
+        self.time: float | None = None  # from then until its vertical velocity is first zero [s]
+        self.depth = 0.0  # its depth then [m]
+        self.part = 0.0  # when this was, in steps after the last but one
         self._timestep = timestep
         self._steps = 0
         self._before: tuple[float, float] | None = None

@@ -13,7 +13,6 @@ import pytest
 
 from mjgranular._util import files
 from mjgranular._util.io import checked_fields, is_plain_name, read_arrays, read_bytes, read_json
-from mjgranular._util.result_folder import ResultFolder
 from mjgranular._util.signals import Stopped, stopped_by_signals
 from mjgranular.cli import main
 from mjgranular.errors import OutputError
@@ -290,12 +289,9 @@ def test_a_reader_sees_one_result_while_it_is_replaced(tmp_path, monkeypatch):
         nonlocal calls
         calls += 1
         if calls == 1:  # after configuration and summary were read, before the samples
-            claimed = ResultFolder(folder, ("config.json", "summary.json", "trajectory.npz"))
-            with claimed.claimed(overwrite=True), claimed.published():
+            with files.replace_directory(folder) as waiting:
                 for path in (tmp_path / "4").glob("*.[jn]*"):
-                    claimed.write(
-                        path.name, lambda to, path=path: to.write_bytes(path.read_bytes())
-                    )
+                    (waiting / path.name).write_bytes(path.read_bytes())
         return read_arrays(file, names, **options)
 
     monkeypatch.setattr("mjgranular.experiment.trajectory.read_arrays", arrays)
