@@ -148,15 +148,12 @@ class FurtherTest:
 class NullDirection:
     """Constants that trade off against each other: along it curves hardly change.
 
-    Attributes:
-        change: relative changes of the constants along it; the largest is 1.
-        effect: RMS difference of the curves at a change of 10 %, in parts of their largest values.
-        one_speed: whether all runs have the same speed: then a narrow interval assumes an exact
-            law, and does not hold at other speeds.
+    With `one_speed`, all runs have the same speed: then a narrow interval assumes an exact law, and
+    does not hold at other speeds.
     """
 
-    change: Mapping[str, float]
-    effect: float
+    change: Mapping[str, float]  # relative changes along it; the largest is 1
+    effect: float  # RMS change of the curves at 10 %, in parts of their largest values
     one_speed: bool = False
 
 

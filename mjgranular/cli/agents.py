@@ -17,21 +17,13 @@ from mjgranular.learn.sands import Sands
 
 @dataclass(frozen=True)
 class Actor:
-    """Agent and environment.
-
-    Attributes:
-        name: display name.
-        environment: Gymnasium's id.
-        arguments: arguments of the environment.
-        agent: a policy, or the name of a baseline.
-        gait: parameters of the baseline `gait` that differ from its defaults.
-    """
+    """Agent and environment, by the id and with the arguments of Gymnasium."""
 
     name: str
     environment: str
     arguments: Mapping[str, Any]
-    agent: Policy | str
-    gait: Mapping[str, float] | None = None
+    agent: Policy | str  # a policy, or the name of a baseline
+    gait: Mapping[str, float] | None = None  # parameters that differ from the defaults
 
     def make(self, env: Any) -> Agent:
         """Return the agent for an environment, or for several."""
@@ -50,12 +42,8 @@ def find_actor(
 ) -> Actor:
     """Return the agent that a word on the command line names, and its environment.
 
-    Args:
-        what: a run's folder, a policy's, or for agents that need no training an environment's id.
-        agent: policy, or one of `BASELINES`.
-        environment: another environment than the one in which the policy was trained.
-        gait: parameters of the gait that differ from its defaults.
-        trust: whether a module that only the run's file names may be imported.
+    The word is a run's folder, a policy's, or for `BASELINES` an environment's id. `trust` allows
+    to import a module that only the run's file names.
     """
     if agent not in ("policy", *BASELINES):
         raise UnknownNameError("agent", agent, ("policy", *BASELINES))

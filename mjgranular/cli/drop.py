@@ -10,7 +10,7 @@ import tyro
 
 from mjgranular._util.result_folder import ResultFolder
 from mjgranular.cli.console import note, out, print_json, progress_bar, table
-from mjgranular.cli.options import options_of, record_of
+from mjgranular.cli.options import options_of
 from mjgranular.cli.results import FilmOptions, collected, write_film
 from mjgranular.errors import GranularError
 from mjgranular.experiment.drop import Drop, DropResult, load, run_drop
@@ -60,10 +60,6 @@ class DropCommand(FilmOptions, options_of(Drop, without=("model",))):
                 if not problems:
                     folder.finish()
         return self.finish(problems)
-
-    def experiment(self) -> Drop:
-        """Return the experiment."""
-        return record_of(Drop, self)
 
 
 def _draw(folder: ResultFolder, result: DropResult) -> None:

@@ -10,8 +10,8 @@ from rich.table import Table
 
 from mjgranular._util.result_folder import ResultFolder
 from mjgranular.cli.console import note, out, print_json, progress_bar
-from mjgranular.cli.options import options_of, record_of
-from mjgranular.cli.results import FilmOptions, collected, write_film
+from mjgranular.cli.options import options_of
+from mjgranular.cli.results import FilmOptions, Frames, collected, write_film
 from mjgranular.errors import GranularError, InputError
 from mjgranular.experiment import Impact, ImpactResult, run_impact
 from mjgranular.experiment.folder import RUN_FILES, write_impact
@@ -59,10 +59,6 @@ class ImpactCommand(FilmOptions, options_of(Impact)):
             if folder is not None and not problems:
                 folder.finish()
         return self.finish(problems)
-
-    def experiment(self) -> Impact:
-        """Return the experiment."""
-        return record_of(Impact, self)
 
     def _film(self, impact: Impact) -> Film:
         from mjgranular.picture.video import Film
@@ -141,23 +137,21 @@ def _draw(folder: ResultFolder, result: ImpactResult, film: Film | None) -> list
         with collected(problems):
             folder.write(PROFILE, lambda path: draw_prints(path, *profile, title=above))
     if film is not None:
+        frames = film_impact(impact, result.trajectory, summary, film, prints)
         with collected(problems):
-            film_impact(folder, VIDEO, impact, result.trajectory, summary, film, prints)
+            write_film(folder, VIDEO, film, frames)
     return problems
 
 
 def film_impact(
-    folder: ResultFolder,
-    name: str,
     impact: Impact,
     trajectory: Trajectory,
     summary: dict[str, Any],
     film: Film,
     prints: Tracks | None = None,
-) -> None:
-    """Film a drop."""
+) -> Frames:
+    """Return a function for the frames of a film of a drop."""
     from mjgranular.picture.video import frames_of_run
 
     options = {"stop": release_to_stop(summary), "prints": prints, "sand": impact.described}
-    frames = partial(frames_of_run, film, impact.link, trajectory, **options)
-    write_film(folder, name, film, frames)
+    return partial(frames_of_run, film, impact.link, trajectory, **options)

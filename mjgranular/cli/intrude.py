@@ -8,7 +8,7 @@ from pathlib import Path
 
 from mjgranular._util.result_folder import CONFIG, SUMMARY
 from mjgranular.cli.console import note, out, print_json, table
-from mjgranular.cli.options import given_options, options_of, record_of
+from mjgranular.cli.options import given_options, options_of
 from mjgranular.cli.results import OutputOptions, collected
 from mjgranular.errors import GranularError, InputError
 from mjgranular.experiment.intrusion import Intrusion, IntrusionResult, run_intrusion
@@ -55,7 +55,7 @@ class IntrudeCommand(OutputOptions, options_of(Intrusion)):
             raise InputError(f"the intruder is a shape or of a model: omit --model or --{name}")
         if self.distance is not None and given_options(self, "depth"):
             raise InputError("--depth and --distance both determine the end of the path: omit one")
-        return record_of(Intrusion, self)
+        return super().experiment()
 
     def _show(self, result: IntrusionResult) -> None:
         rows = result.rows()

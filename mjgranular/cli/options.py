@@ -10,8 +10,9 @@ import types
 import typing
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import field, fields, make_dataclass
+from functools import partialmethod
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, Union
+from typing import Annotated, Any, Union
 
 import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
@@ -24,7 +25,6 @@ from mjgranular.experiment.trajectory import degrees
 from mjgranular.law import Law, laws, register_law
 from mjgranular.shape.rods import CHOOSE
 
-T = TypeVar("T")
 _METAVARS = {str: "NAME", int: "N", float: "X", Path: "FILE"}
 _EXACT = 2**53  # up to which a float holds integers exactly
 
@@ -94,14 +94,10 @@ def _number_rule(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | Non
 
 
 def options_of(kind: type, *names: str, without: tuple[str, ...] = ()) -> Any:
-    """Make a dataclass of options from the fields, defaults and docstring of another.
+    """Make a dataclass of options from fields, defaults and docstring of another; all or `names`.
 
-    Angles are in degrees.
-
-    Args:
-        kind: a dataclass with a section `Attributes:`, with units in brackets at the end.
-        *names: names of the fields; none for all.
-        without: names of fields that are not options.
+    Its section `Attributes:` has units in brackets at the end; angles become degrees. Its method
+    `experiment` makes the other dataclass, with further arguments.
     """
     hints = typing.get_type_hints(kind)
     texts = _documented(PlainSand) | _documented(kind)
@@ -114,7 +110,8 @@ def options_of(kind: type, *names: str, without: tuple[str, ...] = ()) -> Any:
         if each.name in ANGLES:
             text, default = text.replace("[rad]", "[degrees]"), degrees(default)
         made.append((each.name, _annotated(hint, text), field(default=default, kw_only=True)))
-    return make_dataclass(f"{kind.__name__}Options", made, frozen=True)
+    methods = {"experiment": partialmethod(_record_of, kind)}
+    return make_dataclass(f"{kind.__name__}Options", made, frozen=True, namespace=methods)
 
 
 def _documented(kind: type) -> dict[str, str]:
@@ -149,8 +146,7 @@ def _annotated(hint: Any, text: str) -> Any:
     return Annotated[hint, tyro.conf.arg(metavar=metavar, help=text)]
 
 
-def record_of(kind: type[T], command: object, **others: Any) -> T:
-    """Make a dataclass of an experiment from the options of a command with the same names."""
+def _record_of(command: object, kind: type, **others: Any) -> Any:
     names = [each.name for each in fields(kind)]  # pyright: ignore[reportArgumentType]
     given = {name: getattr(command, name) for name in names if hasattr(command, name)}
     if "law" in given:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -13,7 +12,7 @@ from mjgranular._util.result_folder import TRAINING, ResultFolder
 from mjgranular.cli import drop, impact
 from mjgranular.cli.agents import find_actor, is_environment, warn_of_sand
 from mjgranular.cli.console import out
-from mjgranular.cli.results import Flag, write_film
+from mjgranular.cli.results import Flag, Frames, write_film
 from mjgranular.errors import InputError
 from mjgranular.experiment.folder import (
     prints_of,
@@ -27,8 +26,6 @@ if TYPE_CHECKING:
     from mjgranular.picture.video import Film
 
 _DEFAULT_FILES = {"impact": impact.VIDEO, "drop": drop.FILM, TRAINING: "policy.mp4"}
-
-Draw = Callable[[ResultFolder, str], None]
 
 
 @dataclass(frozen=True)
@@ -86,10 +83,10 @@ class RenderCommand:
             height=self.height,
             fps=self.fps,
         )
-        draw = draws[command](film)
+        film, frames = draws[command](film)
         folder = ResultFolder(target.parent, (target.name,))
         with folder.claimed(overwrite=self.overwrite):
-            draw(folder, target.name)
+            write_film(folder, target.name, film, frames)
         out.print(f"written to {target}")
         return 0
 
@@ -109,23 +106,21 @@ class RenderCommand:
             )
         return saved_command(self.run_folder)
 
-    def _impact(self, film: Film) -> Draw:
+    def _impact(self, film: Film) -> tuple[Film, Frames]:
         experiment, summary, trajectory = read_impact(self.run_folder)
         film.check(experiment.link)
         prints = read_prints(self.run_folder)
-        return lambda folder, name: impact.film_impact(
-            folder, name, experiment, trajectory, summary, film, prints
-        )
+        return film, impact.film_impact(experiment, trajectory, summary, film, prints)
 
-    def _model(self, film: Film) -> Draw:
+    def _model(self, film: Film) -> tuple[Film, Frames]:
         from mjgranular.picture.video import Motion, frames_of_drop
 
         experiment, arrays = read_drop(self.run_folder)
         motion = Motion(**{key: arrays[key] for key in ("t", "qpos", "point", "force")})
         frames = frames_of_drop(film, experiment, motion, prints_of(arrays))
-        return lambda folder, name: write_film(folder, name, film, lambda: frames)
+        return film, lambda: frames
 
-    def _policy(self, film: Film) -> Draw:
+    def _policy(self, film: Film) -> tuple[Film, Frames]:
         from mjgranular.learn.evaluate import FIRST_SEED, parse_variant
         from mjgranular.learn.film import frames_of_episode
         from mjgranular.learn.sands import sands_made
@@ -134,7 +129,6 @@ class RenderCommand:
         arguments = {**actor.arguments, **parse_variant(self.on)}
         if not self.on:
             warn_of_sand(actor, sands_made(actor.environment, arguments))
-
         film, count, frames = frames_of_episode(
             actor.environment,
             arguments,
@@ -143,4 +137,4 @@ class RenderCommand:
             seed=FIRST_SEED if self.seed is None else self.seed,
             camera=self.camera,
         )
-        return lambda folder, name: write_film(folder, name, film, lambda: (count, frames))
+        return film, lambda: (count, frames)

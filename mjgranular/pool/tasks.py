@@ -32,17 +32,11 @@ class Failure:
 
 @dataclass(kw_only=True)
 class Mapped:
-    """Outcome of many tasks.
-
-    Attributes:
-        journal: the results; `journal.results()` yields them in the order of the tasks.
-        failures: tasks without a result, in order.
-        stopped_by: the signal that interrupted the run before its end; None if none did.
-    """
+    """Outcome of many tasks: a journal of results, and failures in the order of the tasks."""
 
     journal: Journal
     failures: list[Failure]
-    stopped_by: int | None = None
+    stopped_by: int | None = None  # signal that interrupted the run before its end
 
     @property
     def interrupted(self) -> bool:
