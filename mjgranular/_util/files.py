@@ -224,14 +224,12 @@ def locked(folder: Path, name: str = LOCK) -> Iterator[None]:
         descriptor = _lock(file)
     except BlockingIOError:
         raise OutputError(
-            f"{folder} is in use by another process: wait for it, or choose another folder "
-            "with --out"
+            f"{folder} is in use by another process: wait for it, or use another with --out"
         ) from None
     except OSError as error:
         if error.errno not in _NO_LOCKS:
             raise OutputError(
-                f"cannot write to {folder}: {error.strerror or error}; choose a folder that can be "
-                "written to"
+                f"cannot write to {folder}: {error.strerror or error}; choose a writable folder"
             ) from None
         warn_user(f"the file system of {folder} has no locks: let no other process write there")
         yield

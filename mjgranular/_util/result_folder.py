@@ -65,8 +65,7 @@ class ResultFolder:
             )
         if CONFIG in present and self._command() == TRAINING:
             raise OutputError(
-                f"{self.path} holds a training run, which --overwrite does not replace: choose "
-                "another folder"
+                f"{self.path} holds a training run, which --overwrite keeps: choose another folder"
             )
 
     def lacks_figures(self, command: str, config: dict[str, Any]) -> bool:

@@ -128,8 +128,7 @@ def check_units(time: np.ndarray, depth: np.ndarray, speed: float, size: float, 
         column = min(guesses)[1]
         hint = f"it looks like {column.split('[')[1][:-1]}; name the column '{column}'"
     raise InputError(
-        f"{where}: a depth of {greatest:.4g} m after {took:.3g} s at {speed:g} m/s is not "
-        f"plausible: {hint}"
+        f"{where}: {greatest:.4g} m deep after {took:.3g} s at {speed:g} m/s is implausible: {hint}"
     )
 
 
@@ -155,8 +154,7 @@ def check_record(time: np.ndarray, depth: np.ndarray, where: str) -> None:
         )
     if depth.max() <= 0:
         raise InputError(
-            f"{where}: no contact, the depth is at most {depth.max():.4g} m: depths are positive "
-            "below the surface"
+            f"{where}: no contact: depths, positive downward, are at most {depth.max():.4g} m"
         )
 
 

@@ -64,16 +64,13 @@ class Fit:
     def __post_init__(self) -> None:
         if isinstance(self.runs, Run | MeasuredRun | str | Path) or isinstance(self.free, str):
             raise InputError(
-                "runs and free are each several, [run, ...] and ['strength', ...]; read_fit reads "
-                "them from a file"
+                "runs and free are each several, [run, ...] and ['strength']; read_fit reads a file"
             )
         for run in self.runs:
             if not isinstance(run, MeasuredRun):
                 check_kind(run, Run, "a fit")
             elif run.kind == "drop":
-                raise InputError(
-                    f"run {shown(run.name)}: a fit takes a drop as Run, not MeasuredRun"
-                )
+                raise InputError(f"run {shown(run.name)}: a drop is given as Run, not MeasuredRun")
         names = [run.name for run in self.runs]
         for name in names:
             if names.count(name) > 1:

@@ -114,14 +114,10 @@ class Material:
     def check_free(self, names: tuple[str, ...]) -> None:
         """Check that constants can be free."""
         if not names:
-            raise InputError(
-                f"no constant is free: the law {self.law.name!r} has {', '.join(self.names)}"
-            )
+            raise InputError(f"no constant is free; {self.law.name!r} has {', '.join(self.names)}")
         for name in names:
             if name not in self.names:
-                raise UnknownNameError(
-                    f"free constant of the law {self.law.name}", name, self.names
-                )
+                raise UnknownNameError(f"free constant of {self.law.name}", name, self.names)
             if names.count(name) > 1:
                 raise InputError(f"{name} is named twice among the free constants")
         if STRENGTH in names:

@@ -214,9 +214,7 @@ class Run:
         where = f"run {shown(self.name)}"
         for column in needed:
             if column not in self.data:
-                raise InputError(
-                    f"{where} has no column {column!r}: a {self.kind} needs {', '.join(needed)}"
-                )
+                raise InputError(f"{where} has no column {column!r}; needed: {', '.join(needed)}")
         found = {k: np.asarray(v, float) for k, v in self.data.items() if k in needed + optional}
         shapes = {values.shape for values in found.values()}
         if len(shapes) != 1 or len(next(iter(shapes))) != 1:

@@ -329,9 +329,8 @@ class Simulator:
         now.scene["law"][:] = material.law.parameters(material.medium)
 
     def _prepare(self, material: Material) -> PreparedSand:
-        spec = SandSpec(
-            medium=material.medium, law=material.law, scheme=self._scheme, bodies=self._bodies
-        )
+        law, medium = material.law, material.medium
+        spec = SandSpec(medium=medium, law=law, scheme=self._scheme, bodies=self._bodies)
         with warnings.catch_warnings():  # the model is made for this, and the law is still unknown
             warnings.simplefilter("ignore", GranularWarning)
             return prepare(self.model, spec)

@@ -65,8 +65,7 @@ def read_table(
     headings = [cell.strip() for cell in rows[0][1]]
     if None not in map(_parsed, headings):
         raise InputError(
-            f"{name} begins with numbers: its first line has to name the columns, such as "
-            "time,depth"
+            f"{name} begins with numbers: its first line must name the columns, such as time,depth"
         )
     if len(rows) == 1:
         raise InputError(f"{name} has headings and no row of numbers")

@@ -132,9 +132,7 @@ class PushTrial(Trial):
             raise InputError(f"{where}: speeds of a drag must be positive, got {least:g} m/s")
         if inside.sum() < 2:
             count = inside.sum() or "no contact"
-            raise InputError(
-                f"{where}: a {run.kind} needs at least 2 rows in the sand, got {count}"
-            )
+            raise InputError(f"{where}: a {run.kind} needs 2 or more rows in the sand, got {count}")
         rows = {name: values[inside] for name, values in measured.items()}
         if rows["force"].mean() <= 0:
             raise InputError(

@@ -119,10 +119,9 @@ def table_of(scores: list[Score], seeds: int) -> Table:
     title = f"Mean of {seeds} seeds ± half the 95 % interval{where}"
     table = Table(title=title, title_justify="left")
     for number, heading in enumerate(columns):
-        left = number < words
-        table.add_column(
-            Text(heading), justify="left" if left else "right", no_wrap=not left, overflow="fold"
-        )
+        justify = "left" if number < words else "right"
+        no_wrap = justify == "right"
+        table.add_column(Text(heading), justify=justify, no_wrap=no_wrap, overflow="fold")
     for score in scores:
         table.add_row(*(cell(score) for cell in columns.values()))
     return table

@@ -59,9 +59,7 @@ class FitCommand:
         if self.out.suffix not in (".yaml", ".yml"):
             raise InputError(f"--out must be a file that ends in .yaml, got {str(self.out)!r}")
         if not self.out.parent.is_dir():
-            raise InputError(
-                f"there is no folder {self.out.parent} to write {self.out.name} to: make it first"
-            )
+            raise InputError(f"there is no folder {self.out.parent} for {self.out.name}: make it")
         details, figure = (self.out.with_suffix(f".fit{end}") for end in (".json", ".png"))
         with files.locked(self.out.parent, f".{self.out.name}{files.LOCK}"):
             for path in (self.out, details, figure):
@@ -126,9 +124,7 @@ def _run(fit: Fit) -> FitResult:
 def sentences(result: FitResult) -> Iterator[str]:
     """Yield what the data determine and what they do not."""
     for valley in result.valleys:
-        moves = ", ".join(
-            f"{name} by {10 * change:+.0f} %" for name, change in valley.change.items()
-        )
+        moves = ", ".join(f"{name} by {10 * part:+.0f} %" for name, part in valley.change.items())
         together = "change together" if len(valley.change) > 1 else "changes"
         yield (
             f"These data do not tell apart: {moves} {together} the curves by "

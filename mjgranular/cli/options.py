@@ -182,9 +182,7 @@ def in_options(command: object, text: str) -> str:
         name, value = found.groups()
         if not hasattr(command, name):
             return found[0]
-        names = [
-            quoted or plain for quoted, plain in re.findall(r"'([^']*)'|([^\[\],\s']+)", value)
-        ]
+        names = [quoted or word for quoted, word in re.findall(r"'([^']*)'|([^\[\],\s']+)", value)]
         return f"{option(name)} {'NAME' if value == '[...]' else shlex.join(names)}"
 
     if not hasattr(command, "geoms"):

@@ -80,9 +80,7 @@ class Drop(PlainSand):
                 "a model in memory use Sand and sand.step(data)"
             )
         if self.height is not None and not (is_finite(self.height) and self.height >= 0):
-            raise InputError(
-                f"the height must be finite and not negative, got {shown(self.height)} m"
-            )
+            raise InputError(f"the height must be finite and 0 or more, got {shown(self.height)} m")
         if not is_finite(self.velocity):
             raise InputError(f"the velocity must be finite, got {shown(self.velocity)} m/s")
         for name, value in (("duration", self.duration), ("time step", self.timestep)):
@@ -353,9 +351,7 @@ def read(drop: Drop) -> mujoco.MjSpec:
     file = robot_path(drop.model)
     check_regular(file, "the model")
     if file.suffix.lower() not in (".xml", ".urdf", ".mjz", ".zip"):
-        raise InputError(
-            f"cannot read the model {place(file)}: a model is an MJCF or URDF file, .xml or .urdf"
-        )
+        raise InputError(f"cannot read the model {place(file)}: use MJCF or URDF, .xml or .urdf")
     spec = mujoco.MjSpec.from_file(str(file))
     if drop.timestep is not None:
         spec.option.timestep = drop.timestep

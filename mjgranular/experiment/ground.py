@@ -70,9 +70,7 @@ class PlainSand:
             for name in ("surface_height", "slope", "uphill"):
                 if getattr(self, name) != 0.0:
                     option = f"--{name.replace('_', '-')}"
-                    raise InputError(
-                        f"{own} has the pose of its geom: {option} is for a plane, omit it"
-                    )
+                    raise InputError(f"{own} has its geom's pose: {option} is for planes, omit it")
         elif self.uphill != 0.0 and self.slope == 0.0:
             raise InputError("--uphill is the direction of a slope: add --slope")
         _ = self.surface

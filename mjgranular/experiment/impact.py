@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from mjgranular._util.checks import check_kind, is_finite, kind_of
-from mjgranular.errors import InputError, UnstableError, shown, warn_user
+from mjgranular.errors import InputError, UnstableError, listed, shown, warn_user
 from mjgranular.experiment.sampling import REST_WINDOW, Recorder, RestWatch, Sampler, StopWatch
 from mjgranular.experiment.trajectory import Trajectory, degrees
 from mjgranular.law import get_law
@@ -79,9 +79,7 @@ class Impact:
             if not is_finite(getattr(self, name)):
                 raise InputError(f"{name} must be finite, got {shown(getattr(self, name))}")
         if self.speed < 0:
-            raise InputError(
-                f"the speed of T is downward and must not be negative, got {self.speed} m/s"
-            )
+            raise InputError(f"the downward speed of T must not be negative, got {self.speed} m/s")
         if abs(self.angle) >= math.pi / 2:
             raise InputError(
                 f"the angle from the vertical must be less than 90 degrees, got "
@@ -89,10 +87,7 @@ class Impact:
                 "once, and the law's immersed length y_T / cos q has no meaning there"
             )
         if self.height < 0:
-            raise InputError(
-                f"the link would start below the surface: the height of T must be 0 or more, "
-                f"got {self.height} m"
-            )
+            raise InputError(f"the height of T must be 0 or more, got {self.height} m")
         for name, value in (("time step", self.timestep), ("duration", self.duration)):
             if not (is_finite(value) and value > 0):
                 raise InputError(f"the {name} must be positive and finite, got {value} s")
@@ -101,16 +96,13 @@ class Impact:
                 f"the time step ({self.timestep} s) is longer than the duration ({self.duration} s)"
             )
         if self.until not in get_args(Until):
-            raise InputError(
-                f"until must be one of {', '.join(get_args(Until))}, got {self.until!r}"
-            )
+            raise InputError(f"until must be one of {listed(get_args(Until))}, got {self.until!r}")
         if not isinstance(self.law, str | None) or not isinstance(self.medium, str):
             what = self.medium if isinstance(self.law, str | None) else self.law
             raise InputError(f"medium and law of an impact must be names, got {kind_of(what)}")
         if isinstance(self.memory, Memory):
             raise InputError(
-                "memory of an impact must be the side of a cell [m], or words such as "
-                "'cell=0.005 extent=1'"
+                "memory of an impact must be the side of a cell [m], or words 'cell=0.005 extent=1'"
             )
         as_memory(self.memory)
         _ = self.link
@@ -427,10 +419,10 @@ class _Run:
         """Check that the simulation has not diverged."""
         if not self.energy() <= self.most_energy:  # also if it is NaN
             raise UnstableError(
-                f"the run was stopped at t = {self.time:.4g} s: the link "
-                f"has more energy than it began with, so the time step "
-                f"{self.impact.timestep:g} s is too large for the {self.impact.scheme_taken} "
-                f"scheme; below {self.impact.largest_step():.2g} s it is sure to be stable"
+                f"the run was stopped at t = {self.time:.4g} s: the link has more energy than it "
+                f"began with, so the time step {self.impact.timestep:g} s is too large for the "
+                f"{self.impact.scheme_taken} scheme; below {self.impact.largest_step():.2g} s it "
+                "is sure to be stable"
             )
 
     def result(self) -> ImpactResult:

@@ -87,9 +87,7 @@ class Study:
                 f"a study is of an Impact, a Drop or an Intrusion, got {kind_of(self.experiment)}"
             )
         if not isinstance(self.vary, Mapping):
-            raise InputError(
-                f"vary must be a table, {{'speed': [1.0, 2.0]}}, got {kind_of(self.vary)}"
-            )
+            raise InputError(f"vary must be a table, {{'speed': [1, 2]}}, got {kind_of(self.vary)}")
         if not self.vary:
             raise InputError("a study varies something, such as speed=(1.0, 2.0)")
         if self.sample is not None:

@@ -26,8 +26,7 @@ def register_medium(medium: Medium, *, replace: bool = False) -> Medium:
     """
     if not isinstance(medium, Medium):
         raise InputError(
-            f"register_medium takes a Medium, not {kind_of(medium)}; read_medium makes one of a "
-            "YAML file"
+            f"register_medium takes a Medium, not {kind_of(medium)}; read_medium reads a YAML file"
         )
     media.add(medium.name, medium, replace=replace)
     return medium
@@ -70,7 +69,5 @@ def _with_options(medium: Medium, options: list[str], name: str) -> Medium:
     try:
         density = float(given["density"])
     except ValueError:
-        raise InputError(
-            f"the density of a medium must be a number, not {shown(given['density'])}"
-        ) from None
+        raise InputError(f"density must be a number, not {shown(given['density'])}") from None
     return replace(medium, name=name, density=Quantity(density, "kg/m^3", "given by the user"))

@@ -59,10 +59,7 @@ class Workers:
         if self.count is not None and self.count < 1:
             raise InputError(f"a run needs at least 1 worker, got {self.count}")
         if self.address is not None and self.engine != "ray":
-            raise InputError(
-                f"an address is that of a Ray cluster, and the engine is {self.engine}: say "
-                "--engine ray too"
-            )
+            raise InputError(f"an address is for Ray, not for {self.engine}: say --engine ray too")
 
 
 class Answer(NamedTuple):
