@@ -15,6 +15,8 @@ from mjgranular.cli.results import FilmOptions, collected, write_film
 from mjgranular.errors import GranularError
 from mjgranular.experiment.drop import Drop, DropResult, load, run_drop
 from mjgranular.experiment.folder import RUN_FILES, write_drop
+from mjgranular.picture.figures import draw_drop
+from mjgranular.picture.video import Film, Motion, check_camera, frames_of_drop
 
 FIGURE = "drop.png"
 FILM = "drop.mp4"
@@ -37,8 +39,6 @@ class DropCommand(FilmOptions, options_of(Drop, without=("model",))):
         self.check_film()
         drop, camera = self.experiment(), self.camera or "free"
         if self.video and self.camera is not None:
-            from mjgranular.picture.video import check_camera
-
             check_camera(load(drop)[0], camera)
         problems: list[GranularError] = []
         names = *RUN_FILES, FIGURE, FILM
@@ -63,8 +63,6 @@ class DropCommand(FilmOptions, options_of(Drop, without=("model",))):
 
 
 def _draw(folder: ResultFolder, result: DropResult) -> None:
-    from mjgranular.picture.figures import draw_drop
-
     names = [body.body for body in result.bodies]
     title = f"{result.drop.title}, {result.medium}, {result.law} law, {result.timestep:g} s"
     arrays = result.t, names, result.depth, result.force, result.power
@@ -72,8 +70,6 @@ def _draw(folder: ResultFolder, result: DropResult) -> None:
 
 
 def _film(folder: ResultFolder, result: DropResult, camera: str) -> None:
-    from mjgranular.picture.video import Film, Motion, frames_of_drop
-
     film = Film(camera=camera, seconds=1.0)
     motion = Motion(result.t, result.qpos, result.point, result.force)
     write_film(folder, FILM, film, lambda: frames_of_drop(film, result.drop, motion, result.prints))

@@ -21,6 +21,7 @@ from mjgranular.cli.console import out, print_json, progress_bar, show_error, ta
 from mjgranular.cli.options import law_named
 from mjgranular.cli.results import Flag
 from mjgranular.errors import InputError, MissingExtraError, OutputError
+from mjgranular.picture.fits import draw_fit
 
 _ROUNDS = 12  # of a fit, as a guess for the progress bar
 
@@ -68,8 +69,6 @@ class FitCommand:
             result = _run(fit)
             problem = None
             try:
-                from mjgranular.picture.fits import draw_fit
-
                 draw_fit(figure, result)
             except MissingExtraError as error:
                 problem = error

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rich.table import Table
 
@@ -16,12 +16,11 @@ from mjgranular.errors import GranularError, InputError
 from mjgranular.experiment import Impact, ImpactResult, run_impact
 from mjgranular.experiment.folder import RUN_FILES, write_impact
 from mjgranular.experiment.trajectory import Trajectory
+from mjgranular.picture.figures import draw_forces, draw_motion, draw_prints
+from mjgranular.picture.video import Film, frames_of_run
 from mjgranular.relief.memory import as_memory
 from mjgranular.render import Tracks
 from mjgranular.sand.prepare import fitted
-
-if TYPE_CHECKING:
-    from mjgranular.picture.video import Film
 
 FIGURES = ("motion.png", "forces.png")
 PROFILE = "prints.png"
@@ -61,8 +60,6 @@ class ImpactCommand(FilmOptions, options_of(Impact)):
         return self.finish(problems)
 
     def _film(self, impact: Impact) -> Film:
-        from mjgranular.picture.video import Film
-
         film = Film(camera=self.camera or "side")
         film.check(impact.link)
         return film
@@ -121,8 +118,6 @@ def _title(summary: dict[str, Any]) -> str:
 
 def _draw(folder: ResultFolder, result: ImpactResult, film: Film | None) -> list[GranularError]:
     """Draw the figures of a drop and its film; return what could not be drawn."""
-    from mjgranular.picture.figures import draw_forces, draw_motion, draw_prints
-
     problems: list[GranularError] = []
     impact, summary, prints = result.impact, result.summary(), result.prints
     stop, above = release_to_stop(summary), _title(summary)
@@ -151,7 +146,5 @@ def film_impact(
     prints: Tracks | None = None,
 ) -> Frames:
     """Return a function for the frames of a film of a drop."""
-    from mjgranular.picture.video import frames_of_run
-
     options = {"stop": release_to_stop(summary), "prints": prints, "sand": impact.described}
     return partial(frames_of_run, film, impact.link, trajectory, **options)

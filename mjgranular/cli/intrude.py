@@ -12,6 +12,7 @@ from mjgranular.cli.options import given_options, options_of
 from mjgranular.cli.results import OutputOptions, collected
 from mjgranular.errors import GranularError, InputError
 from mjgranular.experiment.intrusion import Intrusion, IntrusionResult, run_intrusion
+from mjgranular.picture.figures import draw_intrusion
 
 _CSV = "intrusion.csv"
 _FIGURE = "intrusion.png"
@@ -41,8 +42,6 @@ class IntrudeCommand(OutputOptions, options_of(Intrusion)):
             else:
                 self._show(result)
             if folder is not None:
-                from mjgranular.picture.figures import draw_intrusion
-
                 title = f"{intrusion.title}, {self.medium}, {result.law} law"
                 drawn = (result.depth, result.force, result.moment)
                 with collected(problems):

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import tyro
 
@@ -19,9 +19,7 @@ from mjgranular.errors import (
     MissingExtraError,
     RenderError,
 )
-
-if TYPE_CHECKING:
-    from mjgranular.picture.video import Film
+from mjgranular.picture.video import Film, write_video
 
 Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]
 Frames = Callable[[], tuple[int, Iterator[Any]]]
@@ -92,8 +90,6 @@ def collected(problems: list[GranularError]) -> Iterator[None]:
 
 def write_film(folder: ResultFolder, name: str, film: Film, frames: Frames) -> None:
     """Write a film with a progress bar."""
-    from mjgranular.picture.video import write_video
-
     with progress_bar("filming", 1.0, remaining=True) as show:
 
         def write(path: Path) -> None:

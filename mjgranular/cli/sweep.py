@@ -32,6 +32,7 @@ from mjgranular.cli.results import FilmOptions, OutputOptions
 from mjgranular.errors import InputError, MissingExtraError, UnknownNameError, shown
 from mjgranular.experiment import Between, Study, StudyResult, journal_of, run_study
 from mjgranular.experiment.study import ANGLES, Experiment, Value, column_of
+from mjgranular.picture.studies import OUTCOMES, axis_of, draw_study
 from mjgranular.pool import UNFINISHED, Journal, Workers
 
 _COMMANDS = {"impact": ImpactCommand, "drop": DropCommand, "intrude": IntrudeCommand}
@@ -163,8 +164,6 @@ def _print_rows(result: StudyResult) -> None:
 
 def _show(result: StudyResult) -> None:
     """Print the first rows as a table."""
-    from mjgranular.picture.studies import OUTCOMES, axis_of
-
     study = result.study
     axes = [axis_of(column_of(name)) for name in study.vary]
     axes += OUTCOMES[type(study.experiment).__name__.lower()]
@@ -186,8 +185,6 @@ def _cell(value: object, scale: float) -> str:
 
 def _draw(folder: ResultFolder, result: StudyResult) -> None:
     """Draw the outcomes if at most two fields are varied."""
-    from mjgranular.picture.studies import OUTCOMES, draw_study
-
     study = result.study
     varied = [column_of(name) for name in study.vary]
     if len(varied) > _MOST_AXES:

@@ -20,6 +20,7 @@ from mjgranular.learn import environments
 from mjgranular.learn.run import Run, begin_run, mean_returns, open_run
 from mjgranular.learn.settings import change, find_settings
 from mjgranular.learn.train import Training, train
+from mjgranular.picture.figures import PALETTE, figure
 
 
 @dataclass(frozen=True)
@@ -173,8 +174,6 @@ class TrainCommand:
 
 def _draw_curve(run: Run, training: Training) -> None:
     """Draw mean return against steps if matplotlib is installed."""
-    from mjgranular.picture.figures import PALETTE, figure
-
     means = mean_returns(training.progress.curve, run.settings.num_envs)
     thousands, returns = [steps / 1e3 for steps, _ in means], [mean for _, mean in means]
 

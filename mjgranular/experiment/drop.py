@@ -80,7 +80,7 @@ class Drop(PlainSand):
                 "a model in memory use Sand and sand.step(data)"
             )
         if self.height is not None and not (is_finite(self.height) and self.height >= 0):
-            raise InputError(f"the height must be finite and 0 or more, got {shown(self.height)} m")
+            raise InputError(f"height must be finite and not negative, got {shown(self.height)} m")
         if not is_finite(self.velocity):
             raise InputError(f"the velocity must be finite, got {shown(self.velocity)} m/s")
         for name, value in (("duration", self.duration), ("time step", self.timestep)):

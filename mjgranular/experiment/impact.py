@@ -87,7 +87,9 @@ class Impact:
                 "once, and the law's immersed length y_T / cos q has no meaning there"
             )
         if self.height < 0:
-            raise InputError(f"the height of T must be 0 or more, got {self.height} m")
+            raise InputError(
+                f"the height of T must be 0 or more, not below the surface, got {self.height} m"
+            )
         for name, value in (("time step", self.timestep), ("duration", self.duration)):
             if not (is_finite(value) and value > 0):
                 raise InputError(f"the {name} must be positive and finite, got {value} s")

@@ -18,7 +18,6 @@ from mjgranular.cli import main
 from mjgranular.errors import OutputError
 from mjgranular.experiment import Impact, Study, journal_of, run_study
 from mjgranular.experiment.folder import read_impact
-from mjgranular.picture import figures
 from mjgranular.pool import UNFINISHED
 
 BALL = """
@@ -240,8 +239,8 @@ def test_a_result_takes_the_place_of_the_whole_one_before(tmp_path, capfd):
 @pytest.mark.parametrize(
     ("command", "drawn"),
     [
-        (["impact", *QUICK], "draw_forces"),
-        (["drop", "ball.xml", "--duration", "0.05"], "draw_drop"),
+        (["impact", *QUICK], "mjgranular.cli.impact.draw_forces"),
+        (["drop", "ball.xml", "--duration", "0.05"], "mjgranular.cli.drop.draw_drop"),
     ],
 )
 def test_a_command_that_was_cut_off_while_it_drew_goes_on(
@@ -258,7 +257,7 @@ def test_a_command_that_was_cut_off_while_it_drew_goes_on(
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patched:
-        patched.setattr(figures, drawn, cut_off)
+        patched.setattr(drawn, cut_off)
         assert main(command) == 130
     assert main(other) == 2
     assert "holds a result already" in capfd.readouterr().err

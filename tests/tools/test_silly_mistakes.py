@@ -79,8 +79,8 @@ drop fixed.xml | no geom of the model can meet the sand: a body with a joint and
 drop floor.xml | the model's own geom 'floor'
 drop sand.xml | config 'law': the law 'rft3d' has no option 'scael'
 drop mine.yaml | cannot read the model mine.yaml: use MJCF or URDF
-drop block.xml --height -0.1 | the height must be finite and 0 or more
-drop block.xml --height nan | the height must be finite and 0 or more
+drop block.xml --height -0.1 | height must be finite and not negative
+drop block.xml --height nan | height must be finite and not negative
 drop block.xml --height 10cm | a number without its unit ... '10cm'
 drop hinged.xml --height 1 | the model has no free joint and no vertical slide at its root: it can
 drop hinged.xml --velocity 1 | the model has no free joint and no vertical slide at its root: it
