@@ -144,8 +144,9 @@ def checked_fields(cls: type, content: object, where: object) -> dict[str, Any]:
 
 def is_plain_name(name: object) -> bool:
     """Return True if a name is that of a visible file directly in the folder."""
-    plain = isinstance(name, str) and is_text(name) and name == Path(name).name
-    return plain and not name.startswith(".") and "\\" not in name
+    if not (isinstance(name, str) and is_text(name) and name == Path(name).name):
+        return False
+    return not name.startswith(".") and "\\" not in name
 
 
 def _beginning(path: Path, most: int) -> bytes:

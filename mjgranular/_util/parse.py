@@ -42,6 +42,14 @@ def split_words(text: str) -> list[str]:
         ) from None
 
 
+def parse_number(text: str) -> float | None:
+    """Return a number, or None for other text."""
+    try:
+        return float(text)
+    except ValueError:
+        return None
+
+
 def read_value(text: str, kind: Any, name: str) -> Any:
     """Parse a value of type bool, int, float, str or `float | None`."""
     if kind is bool:

@@ -71,7 +71,8 @@ class ResultFolder:
     def lacks_figures(self, command: str, config: dict[str, Any]) -> bool:
         """Return True if this very command was interrupted here after it wrote its numbers."""
         with suppress(OutputError):
-            saved, wanted = read_json(self.path / CONFIG), json.loads(json.dumps(config))
+            saved = read_json(self.path / CONFIG)
+            wanted = json.loads(json.dumps(config, default=str))
             values = saved.get("config")
             if saved.get("command") == command and isinstance(values, dict):
                 same = all(values.get(name) == value for name, value in wanted.items())
@@ -114,9 +115,8 @@ class ResultFolder:
         stale = [name for name in names if name not in keep]
         with files.replace_directory(self.path, instead_of=stale) as waiting:
             for name, content in ((CONFIG, options), (SUMMARY, summary)):
-                files.write_text(
-                    waiting / name, json.dumps(content, indent=2, allow_nan=False) + "\n"
-                )
+                text = json.dumps(content, indent=2, allow_nan=False, default=str)  # paths
+                files.write_text(waiting / name, text + "\n")
             if unfinished:
                 (waiting / UNFINISHED).touch()
             self._waiting = waiting

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -42,7 +42,7 @@ class DropCommand(FilmOptions, options_of(Drop, without=("model",))):
             check_camera(load(drop)[0], camera)
         problems: list[GranularError] = []
         names = *RUN_FILES, FIGURE, FILM
-        with self.claimed(*names, command="drop", config=drop.config()) as folder:
+        with self.claimed(*names, command="drop", config=asdict(drop)) as folder:
             with progress_bar("running the model", drop.duration) as progress:
                 result = run_drop(drop, progress=progress)
             if folder is not None:

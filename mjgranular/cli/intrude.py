@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from mjgranular._util.result_folder import CONFIG, SUMMARY
@@ -34,7 +34,7 @@ class IntrudeCommand(OutputOptions, options_of(Intrusion)):
         with self.claimed(CONFIG, SUMMARY, _CSV, _FIGURE) as folder:
             result = run_intrusion(intrusion)
             if folder is not None:
-                config = {**intrusion.config(), "law": result.law}
+                config = {**asdict(intrusion), "law": result.law}
                 with folder.published("intrude", config, result.rows()):
                     folder.write(_CSV, lambda path: _write_csv(path, result))
             if self.json:

@@ -17,6 +17,7 @@ from typing import Annotated, Any, Union
 import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
+from mjgranular._util.parse import parse_number
 from mjgranular._util.user_modules import import_own
 from mjgranular.errors import UnknownNameError
 from mjgranular.experiment.ground import PlainSand
@@ -64,14 +65,6 @@ def _checked_number(text: str) -> float:
     if number is None:
         raise ValueError(f"must be a number without its unit, such as 0.1 or 2e-3, got {text!r}")
     return number
-
-
-def parse_number(text: str) -> float | None:
-    """Return a number, or None for other text."""
-    try:
-        return float(text)
-    except ValueError:
-        return None
 
 
 def _number_rule(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:

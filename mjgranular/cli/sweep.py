@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import tyro
 
-from mjgranular._util.parse import split_words
+from mjgranular._util.parse import parse_number, split_words
 from mjgranular._util.result_folder import CONFIG, SUMMARY, ResultFolder
 from mjgranular.cli.console import note, out, progress_bar, show_error, table
 from mjgranular.cli.drop import DropCommand
@@ -26,7 +26,6 @@ from mjgranular.cli.options import (
     option,
     parse_command,
     parse_integer,
-    parse_number,
 )
 from mjgranular.cli.results import FilmOptions, OutputOptions
 from mjgranular.errors import InputError, MissingExtraError, UnknownNameError, shown

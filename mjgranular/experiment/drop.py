@@ -87,13 +87,9 @@ class Drop(PlainSand):
             if value is not None and not (is_finite(value) and value > 0):
                 raise InputError(f"the {name} must be positive and finite, got {shown(value)} s")
 
-    def config(self) -> dict[str, Any]:
-        """Return the drop in plain values, which `from_config` reads."""
-        return {**asdict(self), "model": str(self.model)}
-
     @classmethod
     def from_config(cls, config: object) -> Drop:
-        """Return the drop of which `config` returned these values."""
+        """Return the drop of which `config.json` has these values."""
         where = "the drop's configuration"
         plain = {**config} if isinstance(config, dict) else {}
         for name in ("state", "site"):  # of version 0.2

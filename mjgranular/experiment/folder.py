@@ -40,7 +40,7 @@ def write_drop(folder: ResultFolder, result: DropResult) -> None:
     arrays = {name: getattr(result, name) for name in _DROP_ARRAYS}
     if result.prints is not None:
         arrays |= result.prints.arrays()
-    with folder.published("drop", result.drop.config(), result.summary(), unfinished=True):
+    with folder.published("drop", asdict(result.drop), result.summary(), unfinished=True):
         folder.write(_CSV, lambda path: _write_drop_csv(path, result))
         folder.write(_NPZ, lambda path: np.savez_compressed(path, **arrays))
 

@@ -8,6 +8,7 @@ import typing
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
@@ -125,10 +126,10 @@ class Study:
 
     def config(self) -> dict[str, Any]:
         """Return the study in plain values."""
-        base = self.experiment
+        common = asdict(self.experiment).items()
         return {
-            "experiment": type(base).__name__.lower(),
-            "common": asdict(base) if isinstance(base, Impact) else base.config(),
+            "experiment": type(self.experiment).__name__.lower(),
+            "common": {key: str(v) if isinstance(v, Path) else v for key, v in common},
             "vary": {
                 name: asdict(values) if isinstance(values, Between) else [*map(_plain, values)]
                 for name, values in self.vary.items()

@@ -7,6 +7,7 @@ from typing import Any
 
 from mjgranular._util.checks import kind_of
 from mjgranular._util.io import place
+from mjgranular._util.parse import parse_number
 from mjgranular.errors import InputError, shown
 from mjgranular.medium.medium import Medium, Quantity
 from mjgranular.medium.outline import read_outline_file
@@ -97,13 +98,11 @@ def _quantity(key: str, entry: Any) -> Quantity:
 
 def _number(key: str, value: Any) -> float:
     """Parse a number in Python's notation, or YAML's .inf or .nan."""
-    if isinstance(value, str):
-        plain = value.lower().replace(".inf", "inf").replace(".nan", "nan")
-        try:
-            return float(plain)
-        except ValueError:
-            pass
-    raise InputError(f"{key} must be a number, not {shown(value)}")
+    plain = str(value).lower().replace(".inf", "inf").replace(".nan", "nan")
+    number = parse_number(plain) if isinstance(value, str) else None
+    if number is None:
+        raise InputError(f"{key} must be a number, not {shown(value)}")
+    return number
 
 
 def _text(key: str, value: Any) -> str:
