@@ -41,7 +41,7 @@ from mjgranular.calibrate.runs import COLUMNS, Body, Kind, MeasuredRun, Run, Run
 from mjgranular.calibrate.table import read_table
 from mjgranular.errors import InputError, UnknownNameError, shown
 from mjgranular.law import Law, Rft3dLaw
-from mjgranular.medium.outline import read_outline_file
+from mjgranular.medium.file import read_outline_file
 from mjgranular.models import Projectile
 
 LARGEST = 1_000_000

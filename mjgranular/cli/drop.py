@@ -10,8 +10,7 @@ import tyro
 
 from mjgranular._util.result_folder import ResultFolder
 from mjgranular.cli.console import note, out, print_json, progress_bar, table
-from mjgranular.cli.options import options_of
-from mjgranular.cli.results import FilmOptions, collected, write_film
+from mjgranular.cli.options import FilmOptions, collected, options_of, write_film
 from mjgranular.errors import GranularError
 from mjgranular.experiment.drop import Drop, DropResult, load, run_drop
 from mjgranular.experiment.folder import RUN_FILES, write_drop

@@ -14,8 +14,7 @@ import tyro
 
 from mjgranular._util.result_folder import ResultFolder
 from mjgranular.cli.console import out, print_json, table
-from mjgranular.cli.options import options_of
-from mjgranular.cli.results import Flag
+from mjgranular.cli.options import Flag, options_of
 from mjgranular.errors import FloorWarning, InputError
 from mjgranular.experiment.drop import Drop, loading, read, start_from
 from mjgranular.picture.elements import check_file, count, draw_elements, kind_of

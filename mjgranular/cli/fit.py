@@ -18,8 +18,7 @@ from mjgranular._util.versions import versions
 from mjgranular.calibrate import Errors, Fit, FitResult, read_fit, run_fit
 from mjgranular.calibrate.medium import fitted_medium, medium_text
 from mjgranular.cli.console import out, print_json, progress_bar, show_error, table
-from mjgranular.cli.options import law_named
-from mjgranular.cli.results import Flag
+from mjgranular.cli.options import Flag, law_named
 from mjgranular.errors import InputError, MissingExtraError, OutputError
 from mjgranular.picture.fits import draw_fit
 

@@ -10,8 +10,7 @@ from rich.table import Table
 
 from mjgranular._util.result_folder import ResultFolder
 from mjgranular.cli.console import note, out, print_json, progress_bar
-from mjgranular.cli.options import options_of
-from mjgranular.cli.results import FilmOptions, Frames, collected, write_film
+from mjgranular.cli.options import FilmOptions, Frames, collected, options_of, write_film
 from mjgranular.errors import GranularError, InputError
 from mjgranular.experiment import Impact, ImpactResult, run_impact
 from mjgranular.experiment.folder import RUN_FILES, write_impact

@@ -8,8 +8,7 @@ from pathlib import Path
 
 from mjgranular._util.result_folder import CONFIG, SUMMARY
 from mjgranular.cli.console import note, out, print_json, table
-from mjgranular.cli.options import given_options, options_of
-from mjgranular.cli.results import OutputOptions, collected
+from mjgranular.cli.options import OutputOptions, collected, given_options, options_of
 from mjgranular.errors import GranularError, InputError
 from mjgranular.experiment.intrusion import Intrusion, IntrusionResult, run_intrusion
 from mjgranular.picture.figures import draw_intrusion

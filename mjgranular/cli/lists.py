@@ -10,8 +10,7 @@ import tyro
 from rich.markdown import Markdown
 
 from mjgranular.cli.console import out, print_json, table
-from mjgranular.cli.options import law_named
-from mjgranular.cli.results import Flag
+from mjgranular.cli.options import Flag, law_named
 from mjgranular.errors import UnknownNameError
 from mjgranular.law import Law, check_constants, law_in, laws
 from mjgranular.learn.policies import shipped_policies

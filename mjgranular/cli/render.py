@@ -10,10 +10,9 @@ import tyro
 
 from mjgranular._util.result_folder import TRAINING, ResultFolder
 from mjgranular.cli import drop, impact
-from mjgranular.cli.agents import find_actor, is_environment, warn_of_sand
 from mjgranular.cli.console import out
-from mjgranular.cli.options import options_of
-from mjgranular.cli.results import Flag, Frames, write_film
+from mjgranular.cli.evaluate import find_actor, is_environment, warn_of_sand
+from mjgranular.cli.options import Flag, Frames, options_of, write_film
 from mjgranular.errors import InputError
 from mjgranular.experiment.folder import (
     prints_of,

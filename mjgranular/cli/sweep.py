@@ -21,13 +21,14 @@ from mjgranular.cli.drop import DropCommand
 from mjgranular.cli.impact import ImpactCommand
 from mjgranular.cli.intrude import IntrudeCommand
 from mjgranular.cli.options import (
+    FilmOptions,
+    OutputOptions,
     given_options,
     law_named,
     option,
     parse_command,
     parse_integer,
 )
-from mjgranular.cli.results import FilmOptions, OutputOptions
 from mjgranular.errors import InputError, MissingExtraError, UnknownNameError, shown
 from mjgranular.experiment import Between, Study, StudyResult, journal_of, run_study
 from mjgranular.experiment.study import ANGLES, Experiment, Value, column_of

@@ -13,8 +13,7 @@ import tyro
 from mjgranular._util.extras import require
 from mjgranular._util.result_folder import ResultFolder
 from mjgranular.cli.console import note, out, print_json, progress_bar, show_error
-from mjgranular.cli.options import given_options, option
-from mjgranular.cli.results import Flag
+from mjgranular.cli.options import Flag, given_options, option
 from mjgranular.errors import InputError, MissingExtraError, warn_user
 from mjgranular.learn import environments
 from mjgranular.learn.run import Run, begin_run, mean_returns, open_run
