@@ -145,9 +145,8 @@ class PushTrial(Trial):
         self._speed = run.speed or _PUSH_SPEED
         self.speeds = ends if self.axis == "speed" else (self._speed,)
         few = self.axis == "speed" or len(self.places) <= _POINTS
-        self._simulated = self._run_at(
-            np.unique(self.places) if few else np.linspace(*ends, _POINTS)
-        )
+        places = np.unique(self.places) if few else np.linspace(*ends, _POINTS)
+        self._simulated = self._run_at(places)
         self._simulator = simulator_of(self._simulated, "place")
 
     def _run_at(self, places: np.ndarray) -> MeasuredRun:

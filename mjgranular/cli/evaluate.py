@@ -52,13 +52,14 @@ class EvaluateCommand(OutputOptions):
 
     def run(self) -> int:
         """Run the command."""
-        jobs = self._jobs()
+        jobs, seeds = self._jobs(), {"seeds": self.seeds, "first_seed": self.first_seed}
         with self.claimed(CONFIG, SUMMARY) as folder:
             scores = []
             with progress_bar("running episodes", len(jobs)) as show:
                 for done, (actor, variant) in enumerate(jobs):
                     show(done, f"{actor.name} {variant}")
-                    scores.append(self._score(actor, variant))
+                    what = actor.name, actor.make, actor.environment, actor.arguments
+                    scores.append(evaluate(*what, variant=variant, **seeds))
             rows = [score.as_json() for score in scores]
             if folder is not None:
                 names = ("policies", "agent", "env", "on", "seeds", "first_seed")
@@ -70,17 +71,6 @@ class EvaluateCommand(OutputOptions):
             else:
                 out.print(table_of(scores, self.seeds))
         return self.finish()
-
-    def _score(self, actor: Actor, variant: str) -> Score:
-        return evaluate(
-            actor.name,
-            actor.make,
-            actor.environment,
-            actor.arguments,
-            variant=variant,
-            seeds=self.seeds,
-            first_seed=self.first_seed,
-        )
 
     def _jobs(self) -> list[tuple[Actor, str]]:
         """Return the agents and variants, after making each environment once to find mistakes."""

@@ -198,10 +198,7 @@ def _draw(folder: ResultFolder, result: StudyResult) -> None:
     first = next(result.rows())
     fixed = {"medium": f"{first['medium']}", "law": f"{first['law']} law"}
     words = [text for name, text in fixed.items() if name not in study.vary]
-    options = {
-        "joined": study.sample is None,
-        "title": ", ".join([study.experiment.title, *words]),
-    }
+    options = {"joined": study.sample is None, "title": ", ".join([study.experiment.title, *words])}
     folder.write("sweep.png", lambda path: draw_study(path, columns, varied, outcomes, **options))
 
 

@@ -70,7 +70,7 @@ class PlainSand:
             for name in ("surface_height", "slope", "uphill"):
                 if getattr(self, name) != 0.0:
                     option = f"--{name.replace('_', '-')}"
-                    raise InputError(f"{own} has its geom's pose: {option} is for planes, omit it")
+                    raise InputError(f"{own} has its geom's pose: {option} is for a plane; omit it")
         elif self.uphill != 0.0 and self.slope == 0.0:
             raise InputError("--uphill is the direction of a slope: add --slope")
         _ = self.surface
@@ -89,9 +89,8 @@ class PlainSand:
         """The sand as `Sand` and `add_sand` take it."""
         same = ("medium", "law", "scheme", "resolution", "instead_of", "memory")
         chosen = {name: getattr(self, name) or None for name in ("bodies", "geoms", "groups")}
-        return SandSpec(
-            surface=self.surface, **chosen, **{name: getattr(self, name) for name in same}
-        )
+        others = {name: getattr(self, name) for name in same}
+        return SandSpec(surface=self.surface, **chosen, **others)
 
 
 def hide_replaced(model: mujoco.MjModel, sand: SandSpec) -> None:

@@ -73,8 +73,7 @@ def map_tasks(
         tasks: accessed lazily; need not be in memory.
         shared: sent to each worker once.
         on: where the tasks run; None for one process per core.
-        journal: journal for the results; tasks with results in it are skipped. None for a temporary
-            one.
+        journal: tasks with results in it are skipped; None for a temporary one.
         progress: called with the number of finished tasks.
 
     Raises:
