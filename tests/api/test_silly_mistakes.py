@@ -627,7 +627,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
         lambda: Impact(law=mg.LinkLaw),
         "medium and law of an impact ... the class LinkLaw",
     ),
-    "text for a height": (lambda: Drop("robot.xml", height="1"), "the height must be finite and"),
+    "text for a height": (lambda: Drop("robot.xml", height="1"), "height must be finite and"),
     "policy for its maker": (
         lambda: evaluated(object()),
         "make_agent must be a function",
