@@ -45,9 +45,7 @@ def check_spec(spec: Any, who: str) -> None:
 def check_data(data: Any, who: str) -> None:
     """Check that `data` is an `MjData`."""
     if not isinstance(data, mujoco.MjData):
-        raise InputError(
-            f"{who} takes a mujoco.MjData, not {kind_of(data)}; use mujoco.MjData(model)"
-        )
+        raise InputError(f"{who} takes a mujoco.MjData, not {kind_of(data)}; use MjData(model)")
 
 
 def check_kind(value: Any, kind: type, who: str, meant: str = "") -> None:

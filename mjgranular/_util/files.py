@@ -123,12 +123,12 @@ def read_consistent(folder: Path, name: str, read: Callable[[], T]) -> T:
             return (time.monotonic_ns(),) if (folder / _READY).exists() else ()
         return there.st_ino, there.st_mtime_ns, there.st_size
 
-    for last in (False,) * (_TRIES - 1) + (True,):
+    for tries in range(1, _TRIES + 1):
         before, moving = state(), (folder / _READY).exists()
         try:
             found = read()
         except OutputError:
-            if last or (state() == before and not moving):
+            if tries == _TRIES or (state() == before and not moving):
                 raise
         else:
             if state() == before:
@@ -224,14 +224,12 @@ def locked(folder: Path, name: str = LOCK) -> Iterator[None]:
         descriptor = _lock(file)
     except BlockingIOError:
         raise OutputError(
-            f"{folder} is in use by another process: wait for it, or choose another folder "
-            "with --out"
+            f"{folder} is in use by another process: wait for it, or use another with --out"
         ) from None
     except OSError as error:
         if error.errno not in _NO_LOCKS:
             raise OutputError(
-                f"cannot write to {folder}: {error.strerror or error}; choose a folder that can be "
-                "written to"
+                f"cannot write to {folder}: {error.strerror or error}; choose a writable folder"
             ) from None
         warn_user(f"the file system of {folder} has no locks: let no other process write there")
         yield
@@ -241,11 +239,9 @@ def locked(folder: Path, name: str = LOCK) -> Iterator[None]:
     finally:
         if os.name == "nt":  # where an open file cannot be removed
             os.close(descriptor)
-            with suppress(OSError):
-                file.unlink()
-        else:
-            with suppress(OSError):
-                file.unlink()
+        with suppress(OSError):
+            file.unlink()
+        if os.name != "nt":
             os.close(descriptor)
 
 

@@ -14,8 +14,9 @@ import stat
 import typing
 import zipfile
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 
@@ -89,8 +90,7 @@ def read_json(file: Path, *, infinite: bool = False) -> dict[str, Any]:
     """Return the object in a JSON file; with `infinite` its numbers may be infinite."""
     text = read_text(file)
     try:
-        constant = _infinite if infinite else _raise_for_constant
-        content = json.loads(text, parse_constant=constant)
+        content = json.loads(text, parse_constant=partial(_constant, infinite=infinite))
         if "\\u" in text:  # lone surrogates cannot be printed
             json.dumps(content, ensure_ascii=False).encode()
     except (ValueError, RecursionError) as error:
@@ -144,13 +144,9 @@ def checked_fields(cls: type, content: object, where: object) -> dict[str, Any]:
 
 def is_plain_name(name: object) -> bool:
     """Return True if a name is that of a visible file directly in the folder."""
-    return (
-        isinstance(name, str)
-        and is_text(name)
-        and name == Path(name).name
-        and not name.startswith(".")
-        and "\\" not in name
-    )
+    if not (isinstance(name, str) and is_text(name) and name == Path(name).name):
+        return False
+    return not name.startswith(".") and "\\" not in name
 
 
 def _beginning(path: Path, most: int) -> bytes:
@@ -177,9 +173,7 @@ def _kind(value: object) -> str:
     return f"the string {str(value)[:40]!r}"
 
 
-def _infinite(name: str) -> float:
-    return _raise_for_constant(name) if name == "NaN" else float(name)
-
-
-def _raise_for_constant(name: str) -> NoReturn:
-    raise ValueError(f"{name} is not a number")
+def _constant(name: str, infinite: bool) -> float:
+    if name == "NaN" or not infinite:
+        raise ValueError(f"{name} is not a number")
+    return float(name)

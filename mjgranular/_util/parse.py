@@ -12,7 +12,7 @@ from dataclasses import fields
 from typing import Any, TypeVar, get_type_hints
 
 from mjgranular._util.registry import Registry
-from mjgranular.errors import InputError, shown
+from mjgranular.errors import InputError, listed, shown
 
 T = TypeVar("T")
 
@@ -40,6 +40,14 @@ def split_words(text: str) -> list[str]:
         raise InputError(
             f"{shown(text)} cannot be split into words: {str(error).lower()}"
         ) from None
+
+
+def parse_number(text: str) -> float | None:
+    """Return a number, or None for other text."""
+    try:
+        return float(text)
+    except ValueError:
+        return None
 
 
 def read_value(text: str, kind: Any, name: str) -> Any:
@@ -70,9 +78,7 @@ def read_options(words: Iterable[str], cls: Any, what: str) -> dict[str, Any]:
     for word in words:
         name, equals, text = word.partition("=")
         if name not in kinds:
-            raise InputError(
-                f"the {what} has no option {shown(name)}; it has: {', '.join(kinds) or 'none'}"
-            )
+            raise InputError(f"the {what} has no option {shown(name)}; it has: {listed(kinds)}")
         if not equals:
             raise InputError(f"the option {name!r} of the {what} needs a value: {name}=...")
         if name in options:

@@ -28,6 +28,7 @@ class ResultFolder:
     def __init__(self, path: Path, names: Sequence[str]) -> None:
         self.path = path
         self._names = tuple(names)
+        self._is_a_result = CONFIG in names or SUMMARY in names
         self._waiting: Path | None = None  # folder of files that are published together
 
     @contextmanager
@@ -55,10 +56,6 @@ class ResultFolder:
                 with suppress(OSError):
                     folder.rmdir()
 
-    @property
-    def _is_a_result(self) -> bool:
-        return CONFIG in self._names or SUMMARY in self._names
-
     def _check(self, overwrite: bool) -> None:
         present = [name for name in self._names if (self.path / name).exists()]
         if present and not overwrite:
@@ -68,14 +65,14 @@ class ResultFolder:
             )
         if CONFIG in present and self._command() == TRAINING:
             raise OutputError(
-                f"{self.path} holds a training run, which --overwrite does not replace: choose "
-                "another folder"
+                f"{self.path} holds a training run, which --overwrite keeps: choose another folder"
             )
 
     def lacks_figures(self, command: str, config: dict[str, Any]) -> bool:
         """Return True if this very command was interrupted here after it wrote its numbers."""
         with suppress(OutputError):
-            saved, wanted = read_json(self.path / CONFIG), json.loads(json.dumps(config))
+            saved = read_json(self.path / CONFIG)
+            wanted = json.loads(json.dumps(config, default=str))
             values = saved.get("config")
             if saved.get("command") == command and isinstance(values, dict):
                 same = all(values.get(name) == value for name, value in wanted.items())
@@ -92,17 +89,37 @@ class ResultFolder:
         return None
 
     @contextmanager
-    def published(self, *, keep: Sequence[str] = (), unfinished: bool = False) -> Iterator[None]:
-        """Publish all files of the block at once, in place of all of the last result but `keep`.
+    def published(
+        self,
+        command: str,
+        config: dict[str, Any],
+        summary: Any,
+        *,
+        keep: Sequence[str] = (),
+        unfinished: bool = False,
+    ) -> Iterator[None]:
+        """Publish summary, resolved options with versions, and all files of the block at once.
 
-        The result may be `unfinished` until `finish` is called.
+        They replace all files of the last result but `keep`. The result may be `unfinished` until
+        `finish` is called.
         """
+        options = {
+            "command": command,
+            "config": config,
+            "seed": None,  # nothing is random
+            "versions": versions(),
+            "finished": datetime.now(UTC).isoformat(timespec="seconds"),
+            "files": list(self._names),
+        }
         names = (*self._names, *self._previous_names(), UNFINISHED)
         stale = [name for name in names if name not in keep]
         with files.replace_directory(self.path, instead_of=stale) as waiting:
-            self._waiting = waiting
+            for name, content in ((CONFIG, options), (SUMMARY, summary)):
+                text = json.dumps(content, indent=2, allow_nan=False, default=str)  # paths
+                files.write_text(waiting / name, text + "\n")
             if unfinished:
                 (waiting / UNFINISHED).touch()
+            self._waiting = waiting
             try:
                 yield
             finally:
@@ -115,28 +132,7 @@ class ResultFolder:
             names = read_json(self.path / CONFIG).get("files")
         return [name for name in names if is_plain_name(name)] if isinstance(names, list) else []
 
-    def write(self, name: str, fill: Callable[[Path], object]) -> Path:
+    def write(self, name: str, fill: Callable[[Path], object]) -> None:
         """Write a file atomically."""
-        path = (self._waiting or self.path) / name
-        with files.atomic_write(path) as part:
+        with files.atomic_write((self._waiting or self.path) / name) as part:
             fill(part)
-        return self.path / name
-
-    def write_json(self, name: str, content: Any) -> Path:
-        """Write plain values as JSON."""
-        text = json.dumps(content, indent=2, allow_nan=False) + "\n"
-        return self.write(name, lambda path: path.write_text(text, encoding="utf-8"))
-
-    def write_config(self, command: str, config: dict[str, Any]) -> Path:
-        """Write the resolved options, and the versions of packages."""
-        return self.write_json(
-            CONFIG,
-            {
-                "command": command,
-                "config": config,
-                "seed": None,  # nothing is random
-                "versions": versions(),
-                "finished": datetime.now(UTC).isoformat(timespec="seconds"),
-                "files": list(self._names),
-            },
-        )

@@ -22,8 +22,7 @@ def import_own(name: str, what: str) -> ModuleType:
     """
     if not all(part.isidentifier() for part in name.split(".")):
         raise InputError(
-            f"the module {name!r} of {what} cannot be imported: one is named as in an import, "
-            "my_module"
+            f"the module {name!r} of {what} cannot be imported: name it as in an import, my_module"
         )
     here = str(Path.cwd())
     if here not in sys.path:

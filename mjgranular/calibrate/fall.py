@@ -11,8 +11,7 @@ import numpy as np
 from mjgranular.calibrate.material import Material
 from mjgranular.calibrate.motion import Errors, Motion, relative, rms
 from mjgranular.calibrate.runs import Run
-from mjgranular.calibrate.simulate import lowest_depth
-from mjgranular.calibrate.simulator import Simulator
+from mjgranular.calibrate.simulate import Simulator, lowest_depth
 from mjgranular.calibrate.trial import Series, Trial
 from mjgranular.errors import InputError, shown
 from mjgranular.experiment.drop import Drop, load, start_from
@@ -46,7 +45,7 @@ class Arrest(NamedTuple):
     """Final depth [m], and the time at which the lowest point stops, after the touch [s]."""
 
     depth: float
-    time: float | None
+    time: float | None = None
 
 
 def find_touch(time: np.ndarray, depth: np.ndarray, speed: float) -> float:
@@ -91,7 +90,7 @@ def find_arrest(since: np.ndarray, depth: np.ndarray) -> Arrest:
     rows = (since >= middle[first]) & (since <= (since[-1] if end is None else end))
     t, d = since[rows], depth[rows]
     if len(t) < 5:
-        return Arrest(final, None)
+        return Arrest(final)
     best, at = math.inf, None
     for stop in np.linspace(t[0], t[-1], _TIMES)[1:]:
         basis = np.column_stack([np.ones(len(t)), np.maximum(stop - t, 0.0) ** 2])
@@ -129,8 +128,7 @@ def check_units(time: np.ndarray, depth: np.ndarray, speed: float, size: float, 
         column = min(guesses)[1]
         hint = f"it looks like {column.split('[')[1][:-1]}; name the column '{column}'"
     raise InputError(
-        f"{where}: a depth of {greatest:.4g} m after {took:.3g} s at {speed:g} m/s is not "
-        f"plausible: {hint}"
+        f"{where}: {greatest:.4g} m deep after {took:.3g} s at {speed:g} m/s is implausible: {hint}"
     )
 
 
@@ -156,8 +154,7 @@ def check_record(time: np.ndarray, depth: np.ndarray, where: str) -> None:
         )
     if depth.max() <= 0:
         raise InputError(
-            f"{where}: no contact, the depth is at most {depth.max():.4g} m: depths are positive "
-            "below the surface"
+            f"{where}: no contact: depths, positive downward, are at most {depth.max():.4g} m"
         )
 
 
@@ -171,6 +168,7 @@ class DropTrial(Trial):
         self.run = run
         self._where = f"run {shown(run.name)}"
         self._speed = run.speed or 0.0
+        self.speeds = (self._speed,)
         measured = run.measured()
         time, depth = measured["time"], measured["depth"]
         check_record(time, depth, self._where)
@@ -197,10 +195,6 @@ class DropTrial(Trial):
         if falls and run.touch is None and self._speed > 0:  # it is fitted with the constants
             off = max(_TOUCH * float(depth.max()) / self._speed, float(np.median(np.diff(time))))
             self.shift, self.shift_range = self.touch, (self.touch - off, self.touch + off)
-
-    @property
-    def speeds(self) -> tuple[float, ...]:
-        return (self._speed,)
 
     def _touch(self, time: np.ndarray, depth: np.ndarray) -> float:
         """Return the time of the touch [s], given or found."""
@@ -313,11 +307,10 @@ class ModelTrial(DropTrial):
     def simulate(self, material: Material) -> Motion:
         simulator = self._simulator
         simulator.use(material)
-        rows = np.flatnonzero(simulator.elements["body"] == self._body)
-        if not len(rows):
+        if not len(simulator.depths_of(self._body)):
             raise InputError(f"the body {self.run.model_body!r} does not meet the sand")
         simulator.reset(self._qpos, self._qvel)
-        depth = simulator.move(self._steps, lambda: simulator.depths[rows].max())
+        depth = simulator.move(self._steps, lambda: simulator.depths_of(self._body).max())
         return Motion(depth=depth, time=simulator.model.opt.timestep * np.arange(len(depth)))
 
     def predicted(self, outcome: Motion, shift: float | None) -> list[np.ndarray]:

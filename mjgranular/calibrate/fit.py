@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -12,19 +12,20 @@ import numpy as np
 from mjgranular._util.checks import check_kind
 from mjgranular._util.extras import require
 from mjgranular.calibrate.fall import DropTrial, ModelTrial
-from mjgranular.calibrate.identifiability import (
+from mjgranular.calibrate.intervals import (
     COLLINEAR,
     WIDE,
+    FurtherTest,
     Information,
+    NullDirection,
     further_tests,
+    spread_of,
     trades_off,
 )
-from mjgranular.calibrate.intervals import spread_of
 from mjgranular.calibrate.material import STRENGTH, Material
-from mjgranular.calibrate.problem import Problem
-from mjgranular.calibrate.result import Curve, FitResult
+from mjgranular.calibrate.motion import Errors
 from mjgranular.calibrate.runs import MeasuredRun, Run
-from mjgranular.calibrate.trial import PushTrial, RowsTrial, Trial
+from mjgranular.calibrate.trial import Problem, PushTrial, RowsTrial, Trial
 from mjgranular.errors import InputError, UnknownNameError, UnstableError, shown
 from mjgranular.law import Law
 from mjgranular.medium import Medium, get_medium
@@ -63,16 +64,13 @@ class Fit:
     def __post_init__(self) -> None:
         if isinstance(self.runs, Run | MeasuredRun | str | Path) or isinstance(self.free, str):
             raise InputError(
-                "runs and free are each several, [run, ...] and ['strength', ...]; read_fit reads "
-                "them from a file"
+                "runs and free are each several, [run, ...] and ['strength']; read_fit reads a file"
             )
         for run in self.runs:
             if not isinstance(run, MeasuredRun):
                 check_kind(run, Run, "a fit")
             elif run.kind == "drop":
-                raise InputError(
-                    f"run {shown(run.name)}: a fit takes a drop as Run, not MeasuredRun"
-                )
+                raise InputError(f"run {shown(run.name)}: a drop is given as Run, not MeasuredRun")
         names = [run.name for run in self.runs]
         for name in names:
             if names.count(name) > 1:
@@ -103,6 +101,78 @@ class Fit:
             "free": list(self.free),
             "hold_out": list(self.hold_out),
             "runs": [run.config() for run in self.runs],
+        }
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A measured quantity and the prediction of the fitted law; arrays of shape (n,).
+
+    Places on the axis are times since the touch [s], depths [m], speeds or angles; the quantity is
+    a depth [m], speed, pitch [degrees] or force [N].
+    """
+
+    axis: str
+    quantity: str
+    places: np.ndarray
+    measured: np.ndarray
+    predicted: np.ndarray
+    held_out: bool
+
+
+@dataclass(frozen=True)
+class FitResult:
+    """A finished fit.
+
+    Attributes:
+        start: law and medium before the fit.
+        material: law and medium with the fitted constants.
+        free: names of the free constants.
+        values: fitted values of the free constants.
+        intervals: 95 % intervals; None where the data do not constrain the constant, or the law has
+            no bound.
+        correlations: correlations of the estimates, by names.
+        identifiable: whether the data determine the constant separately from the others.
+        at_bound: names of the constants that ended on a bound of the law.
+        valleys: null directions, in which constants trade off against each other.
+        further: the most useful further tests, the best first; empty if all is identifiable.
+        runs: errors of the fitted runs, by name.
+        held_out: errors of the predicted runs, by name.
+        curves: measured and predicted curves, by the names of runs.
+        residual: RMS of all errors, in parts of the largest values.
+        evaluations: number of simulated runs.
+    """
+
+    start: Material
+    material: Material
+    free: tuple[str, ...]
+    values: Mapping[str, float]
+    intervals: Mapping[str, tuple[float | None, float | None]]
+    correlations: Mapping[str, Mapping[str, float]]
+    identifiable: Mapping[str, bool]
+    at_bound: tuple[str, ...]
+    valleys: tuple[NullDirection, ...]
+    further: tuple[FurtherTest, ...]
+    runs: Mapping[str, Errors]
+    held_out: Mapping[str, Errors]
+    curves: Mapping[str, tuple[Curve, ...]] = field(repr=False)
+    residual: float
+    evaluations: int
+
+    def summary(self) -> dict[str, Any]:
+        """Return the result in plain numbers, SI units."""
+        plain = ("values", "correlations", "identifiable", "residual", "evaluations")
+        return {
+            "law": self.material.law.name,
+            "medium": self.material.medium.name,
+            **{name: getattr(self, name) for name in plain},
+            "intervals": {name: list(ends) for name, ends in self.intervals.items()},
+            "at_bound": list(self.at_bound),
+            "valleys": [asdict(direction) for direction in self.valleys],
+            "further_tests": [asdict(test) for test in self.further],
+            "runs": {name: asdict(errors) for name, errors in self.runs.items()},
+            "held_out": {name: asdict(errors) for name, errors in self.held_out.items()},
+            "constants": self.material.constants(),
         }
 
 

@@ -61,11 +61,6 @@ class Material:
             names = ("scale",)  # the record's stiffness is proportional to it
         return names if any(getattr(self.law, name) for name in names) else ()
 
-    def _times(self, names: tuple[str, ...], factor: float) -> Material:
-        """Return the material with some constants multiplied by a factor."""
-        changes: Any = {name: factor * getattr(self.law, name) for name in names}
-        return replace(self, law=replace(self.law, **changes))  # pyright: ignore
-
     @cached_property
     def _numbers(self) -> tuple[str, ...]:
         kinds = get_type_hints(type(self.law))
@@ -96,13 +91,14 @@ class Material:
         """Return the material with other values of some constants; strength is a factor on it."""
         own: Any = {name: value for name, value in values.items() if name in self._numbers}
         law = replace(self.law, **own) if own else self.law  # pyright: ignore
+        factor = values.get(STRENGTH, 1.0)
+        if factor != 1.0:
+            stronger: Any = {name: factor * getattr(law, name) for name in self._stronger}
+            law = replace(law, **stronger)  # pyright: ignore
         medium = self.medium
         if DENSITY in values:
-            density = replace(medium.density, value=values[DENSITY])
-            medium = replace(medium, density=density)
-        made = replace(self, law=law, medium=medium)
-        factor = values.get(STRENGTH, 1.0)
-        return made if factor == 1.0 else made._times(self._stronger, factor)
+            medium = replace(medium, density=replace(medium.density, value=values[DENSITY]))
+        return replace(self, law=law, medium=medium)
 
     def by_speed(self, name: str) -> bool:
         """Return True if, by the law, a constant affects only rate-dependent resistance."""
@@ -118,14 +114,10 @@ class Material:
     def check_free(self, names: tuple[str, ...]) -> None:
         """Check that constants can be free."""
         if not names:
-            raise InputError(
-                f"no constant is free: the law {self.law.name!r} has {', '.join(self.names)}"
-            )
+            raise InputError(f"no constant is free; {self.law.name!r} has {', '.join(self.names)}")
         for name in names:
             if name not in self.names:
-                raise UnknownNameError(
-                    f"free constant of the law {self.law.name}", name, self.names
-                )
+                raise UnknownNameError(f"free constant of {self.law.name}", name, self.names)
             if names.count(name) > 1:
                 raise InputError(f"{name} is named twice among the free constants")
         if STRENGTH in names:

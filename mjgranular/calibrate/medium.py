@@ -10,8 +10,9 @@ from typing import Any, get_type_hints
 
 from mjgranular._util.extras import require
 from mjgranular._util.io import place
+from mjgranular._util.parse import parse_number
+from mjgranular.calibrate.fit import FitResult
 from mjgranular.calibrate.material import DENSITY, STRENGTH
-from mjgranular.calibrate.result import FitResult
 from mjgranular.errors import GranularError, InputError, shown
 from mjgranular.law import Law, law_in, laws
 from mjgranular.medium import Medium, Quantity, get_medium
@@ -84,11 +85,8 @@ def check_mapping(
 
 def number(value: Any, key: str) -> float:
     """Return a finite number from a file."""
-    try:
-        found = float(value) if isinstance(value, str) else math.nan
-    except ValueError:
-        found = math.nan
-    if not math.isfinite(found):
+    found = parse_number(value) if isinstance(value, str) else None
+    if found is None or not math.isfinite(found):
         raise InputError(f"{key} must be a number, without its unit, got {shown(value)}")
     return found
 

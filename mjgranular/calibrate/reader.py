@@ -28,7 +28,7 @@ import math
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar, get_args
+from typing import Any, get_args
 
 import numpy as np
 
@@ -41,7 +41,7 @@ from mjgranular.calibrate.runs import COLUMNS, Body, Kind, MeasuredRun, Run, Run
 from mjgranular.calibrate.table import read_table
 from mjgranular.errors import InputError, UnknownNameError, shown
 from mjgranular.law import Law, Rft3dLaw
-from mjgranular.medium.outline import read_outline_file
+from mjgranular.medium.file import read_outline_file
 from mjgranular.models import Projectile
 
 LARGEST = 1_000_000
@@ -55,8 +55,6 @@ _BODY_KEYS = ("shape", "diameter", "length", "mass", "density")
 
 _ABOUT: dict[str, Any] = {"source": "unknown", "marks": {}, "guided": [], "to_the_stop": []}
 """What a set of runs says about them by default."""
-
-_R = TypeVar("_R")
 
 
 def read_fit(
@@ -120,8 +118,8 @@ def _content(path: Path, extra: str) -> dict[str, Any]:
 
 
 def _runs(
-    content: dict[str, Any], path: Path, make: Callable[[dict[str, Any], str, Path], _R]
-) -> list[_R]:
+    content: dict[str, Any], path: Path, make: Callable[[dict[str, Any], str, Path], Any]
+) -> list[Any]:
     """Return the runs that `make` builds of the entries of a file, whose keys are checked."""
     found = []
     for k, entry in enumerate(content["runs"]):

@@ -78,7 +78,7 @@ class Body:
     @property
     def size(self) -> float:
         """Largest extent [m]."""
-        return max(self.diameter, 0.0 if self.length is None else self.length)
+        return max(self.diameter, self.length or 0.0)
 
     def describe(self) -> str:
         """Return a short description."""
@@ -87,10 +87,6 @@ class Body:
             size = f"{self.length * 1e3:g} x {size}"
         weight = f", {self.projectile.mass * 1e3:.3g} g" if self.is_heavy else ""
         return f"{self.shape} of {size}{weight}"
-
-    def heavier(self, factor: float) -> Body:
-        """Return the same body with its mass multiplied by `factor`."""
-        return Body(self.shape, self.diameter, self.length, self.projectile.mass * factor)
 
 
 FitKind = Literal["drop", "intrude", "drag", "model"]
@@ -126,8 +122,6 @@ _JOINTS = {
     "walk": ("x",),
 }
 """Joints that a body from an MJCF file needs, by kind of run."""
-
-_PUSH_SPEED = 0.01  # default speed of a push [m/s]: slow
 
 
 @dataclass(frozen=True)
@@ -203,11 +197,6 @@ class Run:
                 raise UnknownNameError(f"column of a {self.kind}", column, known)
 
     @property
-    def push_speed(self) -> float:
-        """Speed of a push [m/s]."""
-        return self.speed or _PUSH_SPEED
-
-    @property
     def _columns(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
         """Required and optional columns that a fit reads."""
         needed, optional = COLUMNS[self.kind]
@@ -225,9 +214,7 @@ class Run:
         where = f"run {shown(self.name)}"
         for column in needed:
             if column not in self.data:
-                raise InputError(
-                    f"{where} has no column {column!r}: a {self.kind} needs {', '.join(needed)}"
-                )
+                raise InputError(f"{where} has no column {column!r}; needed: {', '.join(needed)}")
         found = {k: np.asarray(v, float) for k, v in self.data.items() if k in needed + optional}
         shapes = {values.shape for values in found.values()}
         if len(shapes) != 1 or len(next(iter(shapes))) != 1:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -14,12 +15,18 @@ import numpy as np
 from mjgranular.calibrate.material import Material
 from mjgranular.calibrate.motion import Motion
 from mjgranular.calibrate.runs import MeasuredRun, load_machine
-from mjgranular.calibrate.simulator import Simulator
+from mjgranular.errors import GranularWarning, UnstableError
+from mjgranular.kernel.compiled import entry
 from mjgranular.law import Law
 from mjgranular.medium import Medium, get_medium
 from mjgranular.models import Projectile
 from mjgranular.models.link import offset
+from mjgranular.sand.binding import Binding, bind
+from mjgranular.sand.guard import finish_step, guarded_step
+from mjgranular.sand.prepare import PreparedSand, prepare
+from mjgranular.sand.spec import SandSpec
 from mjgranular.scheme import Explicit, Scheme
+from mjgranular.scheme.status import FINE
 
 TIMESTEP = 5e-5
 """Time step of simulated drops [s]: halving it changes final depths by less than 0.3 %."""
@@ -100,8 +107,9 @@ def simulator_of(run: MeasuredRun, way: str, *, timestep: float = TIMESTEP) -> S
 
 def _drop(run: MeasuredRun, simulator: Simulator) -> Motion:
     time, depth = run.motion.time, run.motion.depth
+    body, q = run.body, math.radians(run.angle)
     assert time is not None
-    body, q = _projectile(run), math.radians(run.angle)
+    assert isinstance(body, Projectile)
     start = np.array(body.touching(q), float)
     start[1] -= depth[0]
     simulator.reset(start, np.array(body.moving(q, run.speed, 0.0, 0.0)))
@@ -157,7 +165,8 @@ def _push(run: MeasuredRun, simulator: Simulator) -> Motion:
     """
     data, timestep = simulator.data, simulator.model.opt.timestep
     gravity = -float(simulator.model.opt.gravity[2])
-    place = _projectile(run).touching(math.radians(run.angle))
+    assert isinstance(run.body, Projectile)
+    place = run.body.touching(math.radians(run.angle))
 
     def force_at(depth: float) -> float:
         data.qpos[:], data.qvel[:], data.qacc_warmstart[:] = place, (0.0, -run.speed, 0.0), 0.0
@@ -179,7 +188,7 @@ def place(run: MeasuredRun, simulator: Simulator) -> Motion:
     model, data, rows = simulator.model, simulator.data, _rows(run)
     pose = model.qpos0
     if not isinstance(run.body, Path):
-        pose = _projectile(run).touching(math.radians(run.angle))
+        pose = run.body.touching(math.radians(run.angle))
     forces = []
     for row in rows:
         data.qpos[:], data.qvel[:] = pose, 0.0
@@ -252,11 +261,6 @@ MOVES: dict[str, Callable[[MeasuredRun, Simulator], Motion]] = {
 """How runs are simulated."""
 
 
-def _projectile(run: MeasuredRun) -> Projectile:
-    assert isinstance(run.body, Projectile)
-    return run.body
-
-
 def _rows(run: MeasuredRun) -> list[dict[str, float]]:
     """Return the values of each row, angles in radians; the run's speed if rows have none."""
     columns = {name: value for name, value in vars(run.motion).items() if np.ndim(value) == 1}
@@ -278,3 +282,124 @@ def _velocity(kind: str, row: dict[str, float]) -> dict[str, float]:
     if kind == "roll":
         found["z"] = -_SETTLES * row["speed"]
     return found
+
+
+_STILL = 1e-6  # largest velocity at which a body counts as at rest [m/s], [rad/s]; chosen
+_CHECK_EVERY = 8  # steps between two checks for rest
+
+
+class Simulator:
+    """A model on sand whose law can change between runs, without recompiling.
+
+    A law's constants are numbers in the record that its compiled program reads. If a change of
+    constants changes neither elements nor kernels, which is checked once for each set of constants,
+    a new law is a new record and costs nothing; else `use` replaces `data`. The time step may
+    change too. The scheme is for free motion, or for forces on a prescribed motion.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        scheme: Scheme | str = "auto",
+        bodies: tuple[str, ...] | None = None,
+    ) -> None:
+        self.model = model
+        self.data = mujoco.MjData(model)
+        self._scheme, self._bodies = scheme, bodies
+        self._prepared: PreparedSand
+        self._binding: Binding
+        self._material: Material | None = None
+        self._harmless: set[frozenset[str]] = set()  # constants that elements do not depend on
+
+    def use(self, material: Material) -> None:
+        """Change the material of the sand."""
+        before = self._material
+        if before is None or type(before.law) is not type(material.law):
+            self._bind(self._prepare(material), material)
+            return
+        now = self._prepared
+        same_kernel = material.law.kernel(now.surface) is now.kernel
+        changed = _changed(before, material)
+        if not (same_kernel and changed in self._harmless):
+            prepared = self._prepare(material)
+            if not (same_kernel and np.array_equal(prepared.elements, now.elements)):
+                self._bind(prepared, material)
+                return
+            self._harmless.add(changed)
+        now.scene["law"][:] = material.law.parameters(material.medium)
+
+    def _prepare(self, material: Material) -> PreparedSand:
+        law, medium = material.law, material.medium
+        spec = SandSpec(medium=medium, law=law, scheme=self._scheme, bodies=self._bodies)
+        with warnings.catch_warnings():  # the model is made for this, and the law is still unknown
+            warnings.simplefilter("ignore", GranularWarning)
+            return prepare(self.model, spec)
+
+    def _bind(self, prepared: PreparedSand, material: Material) -> None:
+        self.data = mujoco.MjData(self.model)  # data bound to the old sand has its addresses
+        self._prepared, self._material = prepared, material
+        self._binding = bind(self.model, self.data, prepared)
+        self._guarded = entry(guarded_step, "int64(int64, int64, float64)")
+        self._finish = entry(finish_step, "int64(int64)")
+        self._harmless.clear()
+
+    def depths_of(self, body: int) -> np.ndarray:
+        """Return the depth of each element of a body at the last force [m]."""
+        return self._binding.contacts["depth"][self._prepared.elements["body"] == body]
+
+    def _check(self, status: int) -> None:
+        if status != FINE:
+            time, law = self.data.time, self._material.law if self._material else ""
+            raise UnstableError(f"the simulation diverged at t = {time:.4g} s with {law}")
+
+    def _act(self, lead: float) -> None:
+        self._check(self._guarded(self._prepared.program, self._binding.address, lead))
+
+    def step(self) -> None:
+        """Advance `data` by one time step."""
+        mujoco.mj_step1(self.model, self.data)
+        self._act(self._prepared.scheme.lead * self.model.opt.timestep)
+        mujoco.mj_step2(self.model, self.data)
+        self._check(self._finish(self._binding.address))
+
+    def reset(self, qpos: np.ndarray, qvel: np.ndarray) -> None:
+        """Start from a state."""
+        mujoco.mj_resetData(self.model, self.data)
+        self.data.qpos[:], self.data.qvel[:] = qpos, qvel
+
+    def move(
+        self, steps: int, look: Callable[[], np.ndarray], *, until_rest: bool = False
+    ) -> np.ndarray:
+        """Advance `data`, and return what `look` returns after each step.
+
+        At rest, if that is asked for, it stops and repeats the last row from there on.
+        """
+        first = np.asarray(look())
+        rows = np.empty((steps, *first.shape))
+        speed = self.data.qvel
+        for step in range(1, steps + 1):
+            self.step()
+            rows[step - 1] = look()
+            if until_rest and step % _CHECK_EVERY == 0 and np.abs(speed).max() < _STILL:
+                rows[step:] = rows[step - 1]
+                break
+        return rows
+
+    def force(self) -> np.ndarray:
+        """Return the sand's force on the model at the state in `data` [N], world, shape (3,)."""
+        model, data = self.model, self.data
+        data.xfrc_applied[:] = 0.0
+        self._binding.bodies["last_wrench"] = np.nan
+        mujoco.mj_fwdPosition(model, data)
+        mujoco.mj_fwdVelocity(model, data)
+        self._act(0.0)
+        total = data.xfrc_applied[:, :3].sum(axis=0)
+        data.xfrc_applied[:] = 0.0
+        return total
+
+
+def _changed(before: Material, after: Material) -> frozenset[str]:
+    """Return the names of the constants by which two materials differ."""
+    every = fields(before.law)  # pyright: ignore[reportArgumentType]
+    names = {f.name for f in every if getattr(before.law, f.name) != getattr(after.law, f.name)}
+    return frozenset(names | ({"medium"} if before.medium != after.medium else set()))

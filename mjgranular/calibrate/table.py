@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from mjgranular._util.io import place, read_file
+from mjgranular._util.parse import parse_number
 from mjgranular.errors import InputError, UnknownNameError, listed, shown
 
 LARGEST = 50_000_000
@@ -63,10 +64,9 @@ def read_table(
     if not rows:
         raise InputError(f"{name} is empty: a table has a line of headings and rows of numbers")
     headings = [cell.strip() for cell in rows[0][1]]
-    if None not in map(_parsed, headings):
+    if None not in map(parse_number, headings):
         raise InputError(
-            f"{name} begins with numbers: its first line has to name the columns, such as "
-            "time,depth"
+            f"{name} begins with numbers: its first line must name the columns, such as time,depth"
         )
     if len(rows) == 1:
         raise InputError(f"{name} has headings and no row of numbers")
@@ -124,14 +124,7 @@ def _factor(heading: str, column: str, name: str) -> float:
 
 def _number(row: list[str], index: int, line: int, name: str) -> float:
     cell = row[index].strip() if index < len(row) else ""
-    number = _parsed(cell)
+    number = parse_number(cell)
     if number is None or not np.isfinite(number):
         raise InputError(f"{name}, line {line}: {shown(cell)} is not a finite number")
     return number
-
-
-def _parsed(cell: str) -> float | None:
-    try:
-        return float(cell)
-    except ValueError:
-        return None

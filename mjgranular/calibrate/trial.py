@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
 from mjgranular.calibrate.material import Material
 from mjgranular.calibrate.motion import Errors, Motion, compare, rms
 from mjgranular.calibrate.runs import MeasuredRun, Run
-from mjgranular.calibrate.simulate import MOVES, place, simulator_of, way_of
-from mjgranular.calibrate.simulator import Simulator
-from mjgranular.errors import InputError, shown
+from mjgranular.calibrate.simulate import MOVES, Simulator, place, simulator_of, way_of
+from mjgranular.errors import InputError, UnstableError, shown
 
 _POINTS = 41  # points at which the force of a smooth path is computed; linear in between
+_PUSH_SPEED = 0.01  # default speed of a push [m/s]: slow
 _UNITS = (("mm", 1e-3), ("cm", 1e-2))
 _DEEPEST = 20.0  # depth of a push, at most, in largest extents of the body; chosen, wide
 
@@ -41,31 +43,17 @@ class Series:
 
 
 class Trial(ABC):
-    """A run with its data read and checked.
+    """A run with its data read and checked: values of `series` at `places` of an `axis`."""
 
-    Attributes:
-        carries: largest number of constants that such a curve can determine; chosen.
-        run: a `Run` or `MeasuredRun`.
-        series: measured series.
-        axis: name of the independent variable.
-        places: values on that axis, shape (n,).
-        shift: time of the touch [s], if it is fitted with the constants; else None.
-        shift_range: lower and upper bound of `shift`.
-    """
+    carries = 2  # largest number of constants that such a curve can determine; chosen
 
-    carries: ClassVar[int] = 2
-
-    run: Any
+    run: Any  # a `Run` or `MeasuredRun`
     series: tuple[Series, ...]
     axis: str
     places: np.ndarray
-    shift: float | None = None
+    speeds: tuple[float, ...]  # of the run [m/s]
+    shift: float | None = None  # time of the touch [s], if it is fitted with the constants
     shift_range: tuple[float, float] = (0.0, 0.0)
-
-    @property
-    @abstractmethod
-    def speeds(self) -> tuple[float, ...]:
-        """Speeds of the run [m/s]."""
 
     @property
     def rows(self) -> int:
@@ -110,18 +98,15 @@ class RowsTrial(Trial):
         self.places = getattr(run.motion, self.axis)
         self.series = _series({name: getattr(run.motion, name) for name in names})
         self._simulators: dict[str, Simulator] = {}
-
-    @property
-    def speeds(self) -> tuple[float, ...]:
-        run = self.run
-        assert isinstance(run, MeasuredRun)
-        if run.kind == "turn":
-            return (abs(run.speed) * run.width,)
         found = run.motion.rate if run.kind == "walk" else run.motion.speed
-        return (run.speed,) if found is None else (float(found.min()), float(found.max()))
+        if run.kind == "turn":
+            self.speeds = (abs(run.speed) * run.width,)
+        elif found is None:
+            self.speeds = (run.speed,)
+        else:
+            self.speeds = (float(found.min()), float(found.max()))
 
     def simulate(self, material: Material) -> Motion:
-        assert isinstance(self.run, MeasuredRun)
         way = way_of(self.run, material.law)
         if way not in self._simulators:
             self._simulators[way] = simulator_of(self.run, way)
@@ -147,9 +132,7 @@ class PushTrial(Trial):
             raise InputError(f"{where}: speeds of a drag must be positive, got {least:g} m/s")
         if inside.sum() < 2:
             count = inside.sum() or "no contact"
-            raise InputError(
-                f"{where}: a {run.kind} needs at least 2 rows in the sand, got {count}"
-            )
+            raise InputError(f"{where}: a {run.kind} needs 2 or more rows in the sand, got {count}")
         rows = {name: values[inside] for name, values in measured.items()}
         if rows["force"].mean() <= 0:
             raise InputError(
@@ -158,14 +141,13 @@ class PushTrial(Trial):
             )
         self.places = rows[self.axis]
         self.series = _series({name: rows.get(name) for name in names})
-        self._simulated = self._run_at(self._points())
+        ends = float(self.places.min()), float(self.places.max())
+        self._speed = run.speed or _PUSH_SPEED
+        self.speeds = ends if self.axis == "speed" else (self._speed,)
+        few = self.axis == "speed" or len(self.places) <= _POINTS
+        places = np.unique(self.places) if few else np.linspace(*ends, _POINTS)
+        self._simulated = self._run_at(places)
         self._simulator = simulator_of(self._simulated, "place")
-
-    def _points(self) -> np.ndarray:
-        """Return the places at which the force is computed."""
-        if self.axis == "speed" or len(self.places) <= _POINTS:
-            return np.unique(self.places)
-        return np.linspace(self.places.min(), self.places.max(), _POINTS)
 
     def _run_at(self, places: np.ndarray) -> MeasuredRun:
         """Return the run with rows at these places, and forces that are not used."""
@@ -175,13 +157,7 @@ class PushTrial(Trial):
             motion = Motion(depth=none + run.depth, speed=places, force=none)
         angle = float(np.degrees(run.angle))
         body = run.body.projectile
-        return MeasuredRun(run.name, run.kind, body, motion, speed=run.push_speed, angle=angle)
-
-    @property
-    def speeds(self) -> tuple[float, ...]:
-        if self.axis == "depth":
-            return (self.run.push_speed,)
-        return float(self.places.min()), float(self.places.max())
+        return MeasuredRun(run.name, run.kind, body, motion, speed=self._speed, angle=angle)
 
     def simulate(self, material: Material) -> Motion:
         self._simulator.use(material)
@@ -222,3 +198,112 @@ def _check_depth(depth: float, run: Run, where: str) -> None:
         if depth * factor <= _DEEPEST * size:
             raise InputError(f"{what} looks like {unit}: name the column 'depth [{unit}]'")
     raise InputError(f"{what} is not plausible: check the units")
+
+
+_FAR = 10.0  # residual of a run that diverged: ten times what was measured
+_FINE = 1e-3  # relative step of a difference; chosen: the error of central ones is its square
+_KEPT = 64  # outcomes that are kept
+
+
+class Problem:
+    """Unknown constants and touches, and residuals of the runs.
+
+    The unknowns are the free constants, then the touch time of each drop whose record does not have
+    it.
+    """
+
+    def __init__(
+        self,
+        trials: Sequence[Trial],
+        material: Material,
+        free: Sequence[str],
+        progress: Callable[[int, str], None] | None = None,
+    ) -> None:
+        self.trials, self.material, self.free = tuple(trials), material, tuple(free)
+        self.shifted = [k for k, trial in enumerate(trials) if trial.shift is not None]
+        bounds = [material.bounds(name) for name in free]
+        bounds += [trials[k].shift_range for k in self.shifted]
+        self.low, self.high = (np.array(ends, float) for ends in zip(*bounds, strict=True))
+        self.count = len(self.free)
+        self.range = self.high - self.low  # may be infinite
+        self.evaluations = 0
+        self._progress = progress
+        self._outcomes: dict[tuple[float, ...], list[Motion | None]] = {}
+
+    def sizes(self, constants: np.ndarray) -> np.ndarray:
+        """Return the size of each unknown: that of `constants`, and the range of each touch."""
+        return np.concatenate([constants[: self.count], self.range[self.count :]])
+
+    def start(self) -> np.ndarray:
+        """Return the initial unknowns."""
+        constants = [self.material.value(name) for name in self.free]
+        shifts = [self.trials[k].shift for k in self.shifted]
+        return np.array([*constants, *shifts], float)
+
+    def material_at(self, x: np.ndarray) -> Material:
+        """Return the material with those constants."""
+        values = {name: float(value) for name, value in zip(self.free, x, strict=False)}
+        return self.material.changed(values)
+
+    def shift_of(self, x: np.ndarray, trial: int) -> float | None:
+        """Return the touch of a run."""
+        if trial not in self.shifted:
+            return None
+        return float(x[self.count + self.shifted.index(trial)])
+
+    def outcomes(self, x: np.ndarray) -> list[Motion | None]:
+        """Return the outcome of each run; None for one that diverged."""
+        key = tuple(x[: self.count])
+        if key not in self._outcomes:
+            material = self.material_at(x)
+            found = []
+            for trial in self.trials:
+                try:
+                    found.append(trial.simulate(material))
+                except UnstableError:
+                    found.append(None)
+                self.evaluations += 1
+                if self._progress is not None:
+                    self._progress(self.evaluations, "fitting")
+            if len(self._outcomes) >= _KEPT:
+                self._outcomes.pop(next(iter(self._outcomes)))
+            self._outcomes[key] = found
+        return self._outcomes[key]
+
+    def residual(self, x: np.ndarray) -> np.ndarray:
+        """Return the residuals of all runs, one after the other."""
+        parts = []
+        for k, outcome in enumerate(self.outcomes(x)):
+            trial = self.trials[k]
+            if outcome is None:
+                parts.append(np.full(trial.rows, _FAR / np.sqrt(trial.rows)))
+            else:
+                parts.append(trial.residual(outcome, self.shift_of(x, k)))
+        return np.concatenate(parts)
+
+    def blocks(self) -> list[slice]:
+        """Return the rows of each series of each run among the residuals."""
+        return _slices([len(series.values) for trial in self.trials for series in trial.series])
+
+    def runs(self) -> list[slice]:
+        """Return the rows of each run among the residuals."""
+        return _slices([trial.rows for trial in self.trials])
+
+    def jacobian(self, x: np.ndarray) -> np.ndarray:
+        """Return the derivatives of the residuals, central differences if the bounds allow."""
+        columns = []
+        for k in range(len(x)):
+            if k < self.count:
+                step = _FINE * max(abs(x[k]), 1e-3 * abs(self.start()[k]))
+            else:
+                step = _FINE * self.range[k]
+            up, down = x.copy(), x.copy()
+            up[k] = min(x[k] + step, self.high[k])
+            down[k] = max(x[k] - step, self.low[k])
+            columns.append((self.residual(up) - self.residual(down)) / (up[k] - down[k]))
+        return np.column_stack(columns)
+
+
+def _slices(lengths: Sequence[int]) -> list[slice]:
+    """Return slices of these lengths, one after the other."""
+    return [slice(a, b) for a, b in pairwise(np.cumsum([0, *lengths]).tolist())]

@@ -6,7 +6,7 @@ import json
 import logging
 import math
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -56,14 +56,18 @@ def _with_words(value: Any) -> Any:
 
 
 def table(
-    title: str, headings: Sequence[str], rows: Iterable[Iterable[str]], *, words: int = 1
+    title: str,
+    headings: Sequence[str],
+    rows: Iterable[Iterable[str]],
+    *,
+    words: int = 1,
+    right: Container[int] | None = None,
 ) -> Table:
-    """Make a table."""
+    """Make a table with columns `right` at the right, by default all but the first `words`."""
     made = Table(title=title, title_justify="left")
     for number, heading in enumerate(headings):
-        made.add_column(
-            Text(heading), justify="left" if number < words else "right", no_wrap=number == 0
-        )
+        left = number < words if right is None else number not in right
+        made.add_column(Text(heading), justify="left" if left else "right", no_wrap=number == 0)
     for row in rows:
         made.add_row(*row)
     return made

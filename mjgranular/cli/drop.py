@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -10,11 +10,12 @@ import tyro
 
 from mjgranular._util.result_folder import ResultFolder
 from mjgranular.cli.console import note, out, print_json, progress_bar, table
-from mjgranular.cli.options import options_of, record_of
-from mjgranular.cli.results import FilmOptions, collected, write_film
+from mjgranular.cli.options import FilmOptions, collected, options_of, write_film
 from mjgranular.errors import GranularError
 from mjgranular.experiment.drop import Drop, DropResult, load, run_drop
 from mjgranular.experiment.folder import RUN_FILES, write_drop
+from mjgranular.picture.figures import draw_drop
+from mjgranular.picture.video import Film, Motion, check_camera, frames_of_drop
 
 FIGURE = "drop.png"
 FILM = "drop.mp4"
@@ -37,12 +38,10 @@ class DropCommand(FilmOptions, options_of(Drop, without=("model",))):
         self.check_film()
         drop, camera = self.experiment(), self.camera or "free"
         if self.video and self.camera is not None:
-            from mjgranular.picture.video import check_camera
-
             check_camera(load(drop)[0], camera)
         problems: list[GranularError] = []
         names = *RUN_FILES, FIGURE, FILM
-        with self.claimed(*names, command="drop", config=drop.config()) as folder:
+        with self.claimed(*names, command="drop", config=asdict(drop)) as folder:
             with progress_bar("running the model", drop.duration) as progress:
                 result = run_drop(drop, progress=progress)
             if folder is not None:
@@ -61,14 +60,8 @@ class DropCommand(FilmOptions, options_of(Drop, without=("model",))):
                     folder.finish()
         return self.finish(problems)
 
-    def experiment(self) -> Drop:
-        """Return the experiment."""
-        return record_of(Drop, self)
-
 
 def _draw(folder: ResultFolder, result: DropResult) -> None:
-    from mjgranular.picture.figures import draw_drop
-
     names = [body.body for body in result.bodies]
     title = f"{result.drop.title}, {result.medium}, {result.law} law, {result.timestep:g} s"
     arrays = result.t, names, result.depth, result.force, result.power
@@ -76,8 +69,6 @@ def _draw(folder: ResultFolder, result: DropResult) -> None:
 
 
 def _film(folder: ResultFolder, result: DropResult, camera: str) -> None:
-    from mjgranular.picture.video import Film, Motion, frames_of_drop
-
     film = Film(camera=camera, seconds=1.0)
     motion = Motion(result.t, result.qpos, result.point, result.force)
     write_film(folder, FILM, film, lambda: frames_of_drop(film, result.drop, motion, result.prints))

@@ -14,8 +14,7 @@ import tyro
 
 from mjgranular._util.result_folder import ResultFolder
 from mjgranular.cli.console import out, print_json, table
-from mjgranular.cli.options import options_of, record_of
-from mjgranular.cli.results import Flag
+from mjgranular.cli.options import Flag, options_of
 from mjgranular.errors import FloorWarning, InputError
 from mjgranular.experiment.drop import Drop, loading, read, start_from
 from mjgranular.picture.elements import check_file, count, draw_elements, kind_of
@@ -66,7 +65,7 @@ class ElementsCommand(options_of(Drop, *_CHOICE)):
 
     def _cut(self) -> tuple[Sand, np.ndarray]:
         """Return the model's sand, and the positions at which it is drawn."""
-        drop = record_of(Drop, self)
+        drop = self.experiment()
         with loading(drop.title):
             model = read(drop).compile()
         model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST  # RK4 would be an error

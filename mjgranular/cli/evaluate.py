@@ -1,24 +1,27 @@
-"""`mjgranular evaluate`: returns of agents over many seeds, on several sands."""
+"""`mjgranular evaluate`: returns of agents over many seeds; agents named on the command line."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import closing
-from dataclasses import dataclass
-from typing import Annotated
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any
 
 import tyro
 from rich.table import Table
 from rich.text import Text
 
+from mjgranular._util.extras import require
 from mjgranular._util.result_folder import CONFIG, SUMMARY
-from mjgranular.cli.agents import Actor, find_actor, warn_of_sand
 from mjgranular.cli.console import out, print_json, progress_bar
-from mjgranular.cli.results import Flag, OutputOptions
-from mjgranular.errors import InputError
+from mjgranular.cli.options import Flag, OutputOptions
+from mjgranular.errors import InputError, OutputError, UnknownNameError
 from mjgranular.learn import environments
+from mjgranular.learn.agents import BASELINES, Agent, make_baseline
 from mjgranular.learn.evaluate import FIRST_SEED, Score, check_seeds, evaluate, parse_variant
-from mjgranular.learn.sands import sands_of
+from mjgranular.learn.policies import Policy, load_policy
+from mjgranular.learn.sands import Sands, sands_of
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,35 +52,25 @@ class EvaluateCommand(OutputOptions):
 
     def run(self) -> int:
         """Run the command."""
-        jobs = self._jobs()
+        jobs, seeds = self._jobs(), {"seeds": self.seeds, "first_seed": self.first_seed}
         with self.claimed(CONFIG, SUMMARY) as folder:
             scores = []
             with progress_bar("running episodes", len(jobs)) as show:
                 for done, (actor, variant) in enumerate(jobs):
                     show(done, f"{actor.name} {variant}")
-                    scores.append(self._score(actor, variant))
+                    what = actor.name, actor.make, actor.environment, actor.arguments
+                    scores.append(evaluate(*what, variant=variant, **seeds))
             rows = [score.as_json() for score in scores]
             if folder is not None:
                 names = ("policies", "agent", "env", "on", "seeds", "first_seed")
-                with folder.published():
-                    folder.write_config("evaluate", {name: getattr(self, name) for name in names})
-                    folder.write_json(SUMMARY, rows)
+                config = {name: getattr(self, name) for name in names}
+                with folder.published("evaluate", config, rows):
+                    pass  # there are no other files
             if self.json:
                 print_json(rows)
             else:
                 out.print(table_of(scores, self.seeds))
         return self.finish()
-
-    def _score(self, actor: Actor, variant: str) -> Score:
-        return evaluate(
-            actor.name,
-            actor.make,
-            actor.environment,
-            actor.arguments,
-            variant=variant,
-            seeds=self.seeds,
-            first_seed=self.first_seed,
-        )
 
     def _jobs(self) -> list[tuple[Actor, str]]:
         """Return the agents and variants, after making each environment once to find mistakes."""
@@ -119,10 +112,9 @@ def table_of(scores: list[Score], seeds: int) -> Table:
     title = f"Mean of {seeds} seeds ± half the 95 % interval{where}"
     table = Table(title=title, title_justify="left")
     for number, heading in enumerate(columns):
-        left = number < words
-        table.add_column(
-            Text(heading), justify="left" if left else "right", no_wrap=not left, overflow="fold"
-        )
+        justify = "left" if number < words else "right"
+        no_wrap = justify == "right"
+        table.add_column(Text(heading), justify=justify, no_wrap=no_wrap, overflow="fold")
     for score in scores:
         table.add_row(*(cell(score) for cell in columns.values()))
     return table
@@ -131,3 +123,79 @@ def table_of(scores: list[Score], seeds: int) -> Table:
 def _share_valid(score: Score) -> str:
     valid = score.figure("sand/valid")
     return "" if valid is None else f"{valid.mean:.0%}"
+
+
+@dataclass(frozen=True)
+class Actor:
+    """Agent and environment, by the id and with the arguments of Gymnasium."""
+
+    name: str
+    environment: str
+    arguments: Mapping[str, Any]
+    agent: Policy | str  # a policy, or the name of a baseline
+    gait: Mapping[str, float] | None = None  # parameters that differ from the defaults
+
+    def make(self, env: Any) -> Agent:
+        """Return the agent for an environment, or for several."""
+        if isinstance(self.agent, str):
+            return make_baseline(self.agent, self.environment, env, gait=self.gait)
+        return self.agent.checked(self.environment, env)
+
+
+def find_actor(
+    what: str,
+    *,
+    agent: str = "policy",
+    environment: str | None = None,
+    gait: Mapping[str, float] | None = None,
+    trust: bool = False,
+) -> Actor:
+    """Return the agent that a word on the command line names, and its environment.
+
+    The word is a run's folder, a policy's, or for `BASELINES` an environment's id. `trust` allows
+    to import a module that only the run's file names.
+    """
+    if agent not in ("policy", *BASELINES):
+        raise UnknownNameError("agent", agent, ("policy", *BASELINES))
+    if agent != "policy":
+        if environment is not None:
+            raise InputError(f"--env is for policies; --agent {agent} acts in the one named first")
+        environments.find_spec(what)
+        return Actor(agent, what, {}, agent, gait)
+    try:
+        policy = load_policy(what)
+    except UnknownNameError as error:
+        if not is_environment(what):
+            raise
+        raise InputError(
+            f"{what} is an environment: choose its agent with --agent {'|'.join(BASELINES)}, or "
+            "name a run or policy"
+        ) from error
+    # Networks of this size are faster on one thread; the cores step environments.
+    require("torch", extra="train", purpose="Running a policy").set_num_threads(1)
+    run = replace(policy.run, trusted=trust)
+    if environment is None:  # otherwise the user names it
+        run.check_environment()
+    env_id = environment or run.environment
+    environments.find_spec(env_id)
+    arguments = dict(run.settings.environment) if env_id == run.environment else {}
+    return Actor(what, env_id, arguments, policy)
+
+
+def warn_of_sand(actor: Actor, now: Sands | None) -> None:
+    """Warn if a policy is not on the sand on which it was trained, unless the user asked so."""
+    if isinstance(actor.agent, Policy) and actor.environment == actor.agent.run.environment:
+        actor.agent.run.warn_of_sand(now)
+
+
+def is_environment(what: str) -> bool:
+    """Return True if a word is the id of an environment, and not a folder."""
+    if Path(what).exists():
+        return False
+    try:
+        environments.find_spec(what)
+    except (UnknownNameError, OutputError):
+        if ":" in what:  # no run has such a name
+            raise
+        return False
+    return True

@@ -12,16 +12,15 @@ from typing import Annotated
 
 import tyro
 from rich.table import Table
-from rich.text import Text
 
 from mjgranular._util import files
 from mjgranular._util.versions import versions
 from mjgranular.calibrate import Errors, Fit, FitResult, read_fit, run_fit
 from mjgranular.calibrate.medium import fitted_medium, medium_text
 from mjgranular.cli.console import out, print_json, progress_bar, show_error, table
-from mjgranular.cli.options import law_named
-from mjgranular.cli.results import Flag
+from mjgranular.cli.options import Flag, law_named
 from mjgranular.errors import InputError, MissingExtraError, OutputError
+from mjgranular.picture.fits import draw_fit
 
 _ROUNDS = 12  # of a fit, as a guess for the progress bar
 
@@ -60,9 +59,7 @@ class FitCommand:
         if self.out.suffix not in (".yaml", ".yml"):
             raise InputError(f"--out must be a file that ends in .yaml, got {str(self.out)!r}")
         if not self.out.parent.is_dir():
-            raise InputError(
-                f"there is no folder {self.out.parent} to write {self.out.name} to: make it first"
-            )
+            raise InputError(f"there is no folder {self.out.parent} for {self.out.name}: make it")
         details, figure = (self.out.with_suffix(f".fit{end}") for end in (".json", ".png"))
         with files.locked(self.out.parent, f".{self.out.name}{files.LOCK}"):
             for path in (self.out, details, figure):
@@ -71,8 +68,6 @@ class FitCommand:
             result = _run(fit)
             problem = None
             try:
-                from mjgranular.picture.fits import draw_fit
-
                 draw_fit(figure, result)
             except MissingExtraError as error:
                 problem = error
@@ -127,9 +122,7 @@ def _run(fit: Fit) -> FitResult:
 def sentences(result: FitResult) -> Iterator[str]:
     """Yield what the data determine and what they do not."""
     for valley in result.valleys:
-        moves = ", ".join(
-            f"{name} by {10 * change:+.0f} %" for name, change in valley.change.items()
-        )
+        moves = ", ".join(f"{name} by {10 * part:+.0f} %" for name, part in valley.change.items())
         together = "change together" if len(valley.change) > 1 else "changes"
         yield (
             f"These data do not tell apart: {moves} {together} the curves by "
@@ -163,16 +156,14 @@ def _percent(width: float) -> str:
 
 
 def _constants(result: FitResult) -> Table:
-    shown = Table(title=f"Constants of {result.material.law.name}", title_justify="left")
-    for heading in ("constant", "value", "95 % interval", "unit", "determined"):
-        justify = "right" if heading in ("value", "95 % interval") else "left"
-        shown.add_column(Text(heading), justify=justify)
+    rows = []
     for name, value in result.values.items():
         low, high = ("..." if end is None else f"{end:.4g}" for end in result.intervals[name])
         determined = "yes" if result.identifiable[name] else "no"
         unit = "" if name == "strength" else result.material.unit(name)
-        shown.add_row(name, f"{value:.4g}", f"{low} to {high}", unit, determined)
-    return shown
+        rows.append((name, f"{value:.4g}", f"{low} to {high}", unit, determined))
+    headings = ("constant", "value", "95 % interval", "unit", "determined")
+    return table(f"Constants of {result.material.law.name}", headings, rows, right=(1, 2))
 
 
 def _errors(title: str, errors: Mapping[str, Errors]) -> Table:

@@ -4,24 +4,22 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rich.table import Table
 
 from mjgranular._util.result_folder import ResultFolder
 from mjgranular.cli.console import note, out, print_json, progress_bar
-from mjgranular.cli.options import options_of, record_of
-from mjgranular.cli.results import FilmOptions, collected, write_film
+from mjgranular.cli.options import FilmOptions, Frames, collected, options_of, write_film
 from mjgranular.errors import GranularError, InputError
 from mjgranular.experiment import Impact, ImpactResult, run_impact
 from mjgranular.experiment.folder import RUN_FILES, write_impact
 from mjgranular.experiment.trajectory import Trajectory
+from mjgranular.picture.figures import draw_forces, draw_motion, draw_prints
+from mjgranular.picture.video import Film, frames_of_run
 from mjgranular.relief.memory import as_memory
 from mjgranular.render import Tracks
 from mjgranular.sand.prepare import fitted
-
-if TYPE_CHECKING:
-    from mjgranular.picture.video import Film
 
 FIGURES = ("motion.png", "forces.png")
 PROFILE = "prints.png"
@@ -60,13 +58,7 @@ class ImpactCommand(FilmOptions, options_of(Impact)):
                 folder.finish()
         return self.finish(problems)
 
-    def experiment(self) -> Impact:
-        """Return the experiment."""
-        return record_of(Impact, self)
-
     def _film(self, impact: Impact) -> Film:
-        from mjgranular.picture.video import Film
-
         film = Film(camera=self.camera or "side")
         film.check(impact.link)
         return film
@@ -125,8 +117,6 @@ def _title(summary: dict[str, Any]) -> str:
 
 def _draw(folder: ResultFolder, result: ImpactResult, film: Film | None) -> list[GranularError]:
     """Draw the figures of a drop and its film; return what could not be drawn."""
-    from mjgranular.picture.figures import draw_forces, draw_motion, draw_prints
-
     problems: list[GranularError] = []
     impact, summary, prints = result.impact, result.summary(), result.prints
     stop, above = release_to_stop(summary), _title(summary)
@@ -141,23 +131,19 @@ def _draw(folder: ResultFolder, result: ImpactResult, film: Film | None) -> list
         with collected(problems):
             folder.write(PROFILE, lambda path: draw_prints(path, *profile, title=above))
     if film is not None:
+        frames = film_impact(impact, result.trajectory, summary, film, prints)
         with collected(problems):
-            film_impact(folder, VIDEO, impact, result.trajectory, summary, film, prints)
+            write_film(folder, VIDEO, film, frames)
     return problems
 
 
 def film_impact(
-    folder: ResultFolder,
-    name: str,
     impact: Impact,
     trajectory: Trajectory,
     summary: dict[str, Any],
     film: Film,
     prints: Tracks | None = None,
-) -> None:
-    """Film a drop."""
-    from mjgranular.picture.video import frames_of_run
-
+) -> Frames:
+    """Return a function for the frames of a film of a drop."""
     options = {"stop": release_to_stop(summary), "prints": prints, "sand": impact.described}
-    frames = partial(frames_of_run, film, impact.link, trajectory, **options)
-    write_film(folder, name, film, frames)
+    return partial(frames_of_run, film, impact.link, trajectory, **options)

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import csv
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from mjgranular._util.result_folder import CONFIG, SUMMARY
 from mjgranular.cli.console import note, out, print_json, table
-from mjgranular.cli.options import given_options, options_of, record_of
-from mjgranular.cli.results import OutputOptions, collected
+from mjgranular.cli.options import OutputOptions, collected, given_options, options_of
 from mjgranular.errors import GranularError, InputError
 from mjgranular.experiment.intrusion import Intrusion, IntrusionResult, run_intrusion
+from mjgranular.picture.figures import draw_intrusion
 
 _CSV = "intrusion.csv"
 _FIGURE = "intrusion.png"
@@ -33,17 +33,14 @@ class IntrudeCommand(OutputOptions, options_of(Intrusion)):
         with self.claimed(CONFIG, SUMMARY, _CSV, _FIGURE) as folder:
             result = run_intrusion(intrusion)
             if folder is not None:
-                with folder.published():
-                    folder.write_config("intrude", {**intrusion.config(), "law": result.law})
+                config = {**asdict(intrusion), "law": result.law}
+                with folder.published("intrude", config, result.rows()):
                     folder.write(_CSV, lambda path: _write_csv(path, result))
-                    folder.write_json(SUMMARY, result.rows())
             if self.json:
                 print_json(result.rows())
             else:
                 self._show(result)
             if folder is not None:
-                from mjgranular.picture.figures import draw_intrusion
-
                 title = f"{intrusion.title}, {self.medium}, {result.law} law"
                 drawn = (result.depth, result.force, result.moment)
                 with collected(problems):
@@ -56,7 +53,7 @@ class IntrudeCommand(OutputOptions, options_of(Intrusion)):
             raise InputError(f"the intruder is a shape or of a model: omit --model or --{name}")
         if self.distance is not None and given_options(self, "depth"):
             raise InputError("--depth and --distance both determine the end of the path: omit one")
-        return record_of(Intrusion, self)
+        return super().experiment()
 
     def _show(self, result: IntrusionResult) -> None:
         rows = result.rows()

@@ -10,10 +10,10 @@ import tyro
 from rich.markdown import Markdown
 
 from mjgranular.cli.console import out, print_json, table
-from mjgranular.cli.options import law_named
-from mjgranular.cli.results import Flag
+from mjgranular.cli.options import Flag, law_named
 from mjgranular.errors import UnknownNameError
 from mjgranular.law import Law, check_constants, law_in, laws
+from mjgranular.learn.policies import shipped_policies
 from mjgranular.medium import get_medium, media
 from mjgranular.sand.material import has_constants
 
@@ -101,8 +101,6 @@ def _facts(law: type[Law]) -> dict[str, str]:
 
 
 def _policies() -> Listed:
-    from mjgranular.learn.policies import shipped_policies
-
     rows = [
         {
             "name": name,

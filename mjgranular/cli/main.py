@@ -46,14 +46,10 @@ COMMANDS: dict[str, Any] = {
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line.
+    """Run the command line, by default with the arguments of the process.
 
-    Args:
-        arguments: without the program's name; None for those of the process.
-
-    Returns:
-        Exit status: 0 for success; 2 for a mistake in the arguments, reported in one sentence; 130
-        if interrupted, 143 if terminated, 141 if standard output is closed.
+    Return the exit status: 0 for success; 2 for a mistake in the arguments, reported in one
+    sentence; 130 if interrupted, 143 if terminated, 141 if standard output is closed.
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
     try:

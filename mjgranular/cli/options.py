@@ -1,4 +1,4 @@
-"""Options of commands: made from the dataclasses of experiments, parsed, named in messages."""
+"""Options of commands: made from dataclasses of experiments, parsed, named in messages, shared."""
 
 from __future__ import annotations
 
@@ -8,23 +8,34 @@ import re
 import shlex
 import types
 import typing
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import field, fields, make_dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, fields, make_dataclass
+from functools import partial, partialmethod
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, Union
+from typing import Annotated, Any, Union
 
 import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
+from mjgranular._util.parse import parse_number
+from mjgranular._util.result_folder import ResultFolder
 from mjgranular._util.user_modules import import_own
-from mjgranular.errors import UnknownNameError
+from mjgranular.cli.console import out, progress_bar, show_error
+from mjgranular.errors import (
+    GranularError,
+    InputError,
+    MissingExtraError,
+    RenderError,
+    UnknownNameError,
+)
 from mjgranular.experiment.ground import PlainSand
 from mjgranular.experiment.study import ANGLES
 from mjgranular.experiment.trajectory import degrees
 from mjgranular.law import Law, laws, register_law
+from mjgranular.picture.video import Film, write_video
 from mjgranular.shape.rods import CHOOSE
 
-T = TypeVar("T")
 _METAVARS = {str: "NAME", int: "N", float: "X", Path: "FILE"}
 _EXACT = 2**53  # up to which a float holds integers exactly
 
@@ -66,14 +77,6 @@ def _checked_number(text: str) -> float:
     return number
 
 
-def parse_number(text: str) -> float | None:
-    """Return a number, or None for other text."""
-    try:
-        return float(text)
-    except ValueError:
-        return None
-
-
 def _number_rule(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
     """Parse options that are numbers, or numbers or None, with our messages."""
     kinds = set(typing.get_args(info.type) or (info.type,)) - {type(None)}
@@ -94,14 +97,10 @@ def _number_rule(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | Non
 
 
 def options_of(kind: type, *names: str, without: tuple[str, ...] = ()) -> Any:
-    """Make a dataclass of options from the fields, defaults and docstring of another.
+    """Make a dataclass of options from fields, defaults and docstring of another; all or `names`.
 
-    Angles are in degrees.
-
-    Args:
-        kind: a dataclass with a section `Attributes:`, with units in brackets at the end.
-        *names: names of the fields; none for all.
-        without: names of fields that are not options.
+    Its section `Attributes:` has units in brackets at the end; angles become degrees. Its method
+    `experiment` makes the other dataclass, with further arguments.
     """
     hints = typing.get_type_hints(kind)
     texts = _documented(PlainSand) | _documented(kind)
@@ -114,7 +113,8 @@ def options_of(kind: type, *names: str, without: tuple[str, ...] = ()) -> Any:
         if each.name in ANGLES:
             text, default = text.replace("[rad]", "[degrees]"), degrees(default)
         made.append((each.name, _annotated(hint, text), field(default=default, kw_only=True)))
-    return make_dataclass(f"{kind.__name__}Options", made, frozen=True)
+    methods = {"experiment": partialmethod(_record_of, kind)}
+    return make_dataclass(f"{kind.__name__}Options", made, frozen=True, namespace=methods)
 
 
 def _documented(kind: type) -> dict[str, str]:
@@ -149,8 +149,7 @@ def _annotated(hint: Any, text: str) -> Any:
     return Annotated[hint, tyro.conf.arg(metavar=metavar, help=text)]
 
 
-def record_of(kind: type[T], command: object, **others: Any) -> T:
-    """Make a dataclass of an experiment from the options of a command with the same names."""
+def _record_of(command: object, kind: type, **others: Any) -> Any:
     names = [each.name for each in fields(kind)]  # pyright: ignore[reportArgumentType]
     given = {name: getattr(command, name) for name in names if hasattr(command, name)}
     if "law" in given:
@@ -186,9 +185,7 @@ def in_options(command: object, text: str) -> str:
         name, value = found.groups()
         if not hasattr(command, name):
             return found[0]
-        names = [
-            quoted or plain for quoted, plain in re.findall(r"'([^']*)'|([^\[\],\s']+)", value)
-        ]
+        names = [quoted or word for quoted, word in re.findall(r"'([^']*)'|([^\[\],\s']+)", value)]
         return f"{option(name)} {'NAME' if value == '[...]' else shlex.join(names)}"
 
     if not hasattr(command, "geoms"):
@@ -213,3 +210,80 @@ def law_named(text: str | None) -> str | None:
     if name not in found:
         raise UnknownNameError(f"law in the module {module}", name, sorted(found))
     return f"{register_law(found[name]).name} {options}".strip()
+
+
+Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]
+Frames = Callable[[], tuple[int, Iterator[Any]]]
+"""Returns the number of frames of a film, and the frames."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class OutputOptions:
+    """Where results go."""
+
+    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
+    """Folder for the results; nothing is written without it."""
+    overwrite: Flag = False
+    """Replace a result that the folder contains."""
+    json: Flag = False
+    """Print JSON instead of a table."""
+
+    @contextmanager
+    def claimed(
+        self, *names: str, command: str = "", config: dict[str, Any] | None = None
+    ) -> Iterator[ResultFolder | None]:
+        """Claim the folder of `--out`; yield None without one.
+
+        A command that was interrupted may go on there, if it has the same `config`.
+        """
+        if self.out is None:
+            yield None
+            return
+        folder = ResultFolder(self.out, names)
+        goes_on = None if config is None else partial(folder.lacks_figures, command, config)
+        with folder.claimed(overwrite=self.overwrite, goes_on=goes_on):
+            yield folder
+
+    def finish(self, problems: Sequence[GranularError] = ()) -> int:
+        """Print where the result is and what could not be drawn; return the exit status."""
+        if self.out is not None and not self.json:
+            out.print(f"written to {self.out}")
+        for problem in problems:
+            show_error(f"{problem} (the numbers are in {self.out})")
+        return 2 if problems else 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class FilmOptions(OutputOptions):
+    """Where results go, and whether a film is one of them."""
+
+    video: Flag = False
+    """Write a film into the folder."""
+    camera: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
+    """Camera of the film: side, close or corner of the link; one of a model's, or free."""
+
+    def check_film(self) -> None:
+        """Raise if options of a film are given and no film can be written."""
+        if self.video and self.out is None:
+            raise InputError("--video needs a folder to write to: add --out DIR")
+        if self.camera is not None and not self.video:
+            raise InputError("--camera is for a film: add --video")
+
+
+@contextmanager
+def collected(problems: list[GranularError]) -> Iterator[None]:
+    """Append the error to a list if something cannot be drawn, and continue after the block."""
+    try:
+        yield
+    except (MissingExtraError, RenderError) as error:
+        problems.append(error)
+
+
+def write_film(folder: ResultFolder, name: str, film: Film, frames: Frames) -> None:
+    """Write a film with a progress bar."""
+    with progress_bar("filming", 1.0, remaining=True) as show:
+
+        def write(path: Path) -> None:
+            write_video(path, film, *frames(), progress=lambda done, count: show(done / count))
+
+        folder.write(name, write)

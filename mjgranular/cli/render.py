@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import tyro
 
 from mjgranular._util.result_folder import TRAINING, ResultFolder
 from mjgranular.cli import drop, impact
-from mjgranular.cli.agents import find_actor, is_environment, warn_of_sand
 from mjgranular.cli.console import out
-from mjgranular.cli.results import Flag, write_film
+from mjgranular.cli.evaluate import find_actor, is_environment, warn_of_sand
+from mjgranular.cli.options import Flag, Frames, options_of, write_film
 from mjgranular.errors import InputError
 from mjgranular.experiment.folder import (
     prints_of,
@@ -22,17 +21,17 @@ from mjgranular.experiment.folder import (
     read_prints,
     saved_command,
 )
-
-if TYPE_CHECKING:
-    from mjgranular.picture.video import Film
+from mjgranular.learn.evaluate import FIRST_SEED, parse_variant
+from mjgranular.learn.film import frames_of_episode
+from mjgranular.learn.policies import shipped_policies
+from mjgranular.learn.sands import sands_made
+from mjgranular.picture.video import Film, Motion, frames_of_drop
 
 _DEFAULT_FILES = {"impact": impact.VIDEO, "drop": drop.FILM, TRAINING: "policy.mp4"}
 
-Draw = Callable[[ResultFolder, str], None]
-
 
 @dataclass(frozen=True)
-class RenderCommand:
+class RenderCommand(options_of(Film, "seconds", "width", "height", "fps")):
     """A film of a run saved with `mjgranular impact --out`, `drop --out`, or of `train`.
 
     Of a drop the sand's force is drawn as an arrow, and the film is slowed down so that the impact,
@@ -44,14 +43,6 @@ class RenderCommand:
     """Folder of the saved drop or of the training run."""
     camera: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
     """Camera: of the link side, close or corner; of other models theirs, or free."""
-    seconds: Annotated[float, tyro.conf.arg(metavar="S")] = 5.0
-    """Length of the film from release to the stop [s]; what follows takes as long again."""
-    width: Annotated[int, tyro.conf.arg(metavar="PIXELS")] = 640
-    """Width of the frames."""
-    height: Annotated[int, tyro.conf.arg(metavar="PIXELS")] = 480
-    """Height of the frames."""
-    fps: Annotated[int, tyro.conf.arg(metavar="N")] = 30
-    """Frames per second."""
     on: Annotated[str, tyro.conf.arg(metavar="NAME=VALUE,...")] = ""
     """Of a training run: a variant of its environment, for example medium=glass_beads."""
     seed: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
@@ -65,8 +56,6 @@ class RenderCommand:
 
     def run(self) -> int:
         """Run the command."""
-        from mjgranular.picture.video import Film
-
         command = self._command()
         draws = {"impact": self._impact, "drop": self._model, TRAINING: self._policy}
         if command not in draws:
@@ -79,24 +68,16 @@ class RenderCommand:
             raise InputError(f"a film must be written as .mp4, got {target.name!r}")
         if command != TRAINING and (self.on or self.seed is not None):
             raise InputError(f"--on and --seed are for training runs, got {self.run_folder}")
-        film = Film(
-            camera=self.camera or ("side" if command == "impact" else "free"),
-            seconds=self.seconds,
-            width=self.width,
-            height=self.height,
-            fps=self.fps,
-        )
-        draw = draws[command](film)
+        camera = self.camera or ("side" if command == "impact" else "free")
+        film, frames = draws[command](self.experiment(camera=camera))
         folder = ResultFolder(target.parent, (target.name,))
         with folder.claimed(overwrite=self.overwrite):
-            draw(folder, target.name)
+            write_film(folder, target.name, film, frames)
         out.print(f"written to {target}")
         return 0
 
     def _command(self) -> str:
         """Return the command whose result the folder holds; it may also be a policy's name."""
-        from mjgranular.learn.policies import shipped_policies
-
         what = self.run_folder.as_posix()
         if not self.run_folder.exists() and what in shipped_policies():
             if self.out is None:
@@ -109,32 +90,23 @@ class RenderCommand:
             )
         return saved_command(self.run_folder)
 
-    def _impact(self, film: Film) -> Draw:
+    def _impact(self, film: Film) -> tuple[Film, Frames]:
         experiment, summary, trajectory = read_impact(self.run_folder)
         film.check(experiment.link)
         prints = read_prints(self.run_folder)
-        return lambda folder, name: impact.film_impact(
-            folder, name, experiment, trajectory, summary, film, prints
-        )
+        return film, impact.film_impact(experiment, trajectory, summary, film, prints)
 
-    def _model(self, film: Film) -> Draw:
-        from mjgranular.picture.video import Motion, frames_of_drop
-
+    def _model(self, film: Film) -> tuple[Film, Frames]:
         experiment, arrays = read_drop(self.run_folder)
         motion = Motion(**{key: arrays[key] for key in ("t", "qpos", "point", "force")})
         frames = frames_of_drop(film, experiment, motion, prints_of(arrays))
-        return lambda folder, name: write_film(folder, name, film, lambda: frames)
+        return film, lambda: frames
 
-    def _policy(self, film: Film) -> Draw:
-        from mjgranular.learn.evaluate import FIRST_SEED, parse_variant
-        from mjgranular.learn.film import frames_of_episode
-        from mjgranular.learn.sands import sands_made
-
+    def _policy(self, film: Film) -> tuple[Film, Frames]:
         actor = find_actor(str(self.run_folder), trust=self.trust)
         arguments = {**actor.arguments, **parse_variant(self.on)}
         if not self.on:
             warn_of_sand(actor, sands_made(actor.environment, arguments))
-
         film, count, frames = frames_of_episode(
             actor.environment,
             arguments,
@@ -143,4 +115,4 @@ class RenderCommand:
             seed=FIRST_SEED if self.seed is None else self.seed,
             camera=self.camera,
         )
-        return lambda folder, name: write_film(folder, name, film, lambda: (count, frames))
+        return film, lambda: (count, frames)

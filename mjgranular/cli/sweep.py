@@ -14,24 +14,25 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import tyro
 
-from mjgranular._util.parse import split_words
+from mjgranular._util.parse import parse_number, split_words
 from mjgranular._util.result_folder import CONFIG, SUMMARY, ResultFolder
 from mjgranular.cli.console import note, out, progress_bar, show_error, table
 from mjgranular.cli.drop import DropCommand
 from mjgranular.cli.impact import ImpactCommand
 from mjgranular.cli.intrude import IntrudeCommand
 from mjgranular.cli.options import (
+    FilmOptions,
+    OutputOptions,
     given_options,
     law_named,
     option,
     parse_command,
     parse_integer,
-    parse_number,
 )
-from mjgranular.cli.results import FilmOptions, OutputOptions
 from mjgranular.errors import InputError, MissingExtraError, UnknownNameError, shown
 from mjgranular.experiment import Between, Study, StudyResult, journal_of, run_study
 from mjgranular.experiment.study import ANGLES, Experiment, Value, column_of
+from mjgranular.picture.studies import OUTCOMES, axis_of, draw_study
 from mjgranular.pool import UNFINISHED, Journal, Workers
 
 _COMMANDS = {"impact": ImpactCommand, "drop": DropCommand, "intrude": IntrudeCommand}
@@ -125,9 +126,9 @@ class SweepCommand(OutputOptions):
             "interrupted": result.interrupted,
             "failures": [result.describe(failure) for failure in result.failures],
         }
-        with folder.published(keep=(UNFINISHED,) if unfinished else ()):
-            folder.write_config("sweep", {**study.config(), "interrupted": result.interrupted})
-            folder.write_json(SUMMARY, summary)
+        config = {**study.config(), "interrupted": result.interrupted}
+        keep = (UNFINISHED,) if unfinished else ()
+        with folder.published("sweep", config, summary, keep=keep):
             folder.write("sweep.csv", result.write_csv)
             try:
                 _draw(folder, result)
@@ -163,8 +164,6 @@ def _print_rows(result: StudyResult) -> None:
 
 def _show(result: StudyResult) -> None:
     """Print the first rows as a table."""
-    from mjgranular.picture.studies import OUTCOMES, axis_of
-
     study = result.study
     axes = [axis_of(column_of(name)) for name in study.vary]
     axes += OUTCOMES[type(study.experiment).__name__.lower()]
@@ -186,8 +185,6 @@ def _cell(value: object, scale: float) -> str:
 
 def _draw(folder: ResultFolder, result: StudyResult) -> None:
     """Draw the outcomes if at most two fields are varied."""
-    from mjgranular.picture.studies import OUTCOMES, draw_study
-
     study = result.study
     varied = [column_of(name) for name in study.vary]
     if len(varied) > _MOST_AXES:
@@ -201,10 +198,7 @@ def _draw(folder: ResultFolder, result: StudyResult) -> None:
     first = next(result.rows())
     fixed = {"medium": f"{first['medium']}", "law": f"{first['law']} law"}
     words = [text for name, text in fixed.items() if name not in study.vary]
-    options = {
-        "joined": study.sample is None,
-        "title": ", ".join([study.experiment.title, *words]),
-    }
+    options = {"joined": study.sample is None, "title": ", ".join([study.experiment.title, *words])}
     folder.write("sweep.png", lambda path: draw_study(path, columns, varied, outcomes, **options))
 
 

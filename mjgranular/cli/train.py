@@ -13,13 +13,13 @@ import tyro
 from mjgranular._util.extras import require
 from mjgranular._util.result_folder import ResultFolder
 from mjgranular.cli.console import note, out, print_json, progress_bar, show_error
-from mjgranular.cli.options import given_options, option
-from mjgranular.cli.results import Flag
+from mjgranular.cli.options import Flag, given_options, option
 from mjgranular.errors import InputError, MissingExtraError, warn_user
 from mjgranular.learn import environments
 from mjgranular.learn.run import Run, begin_run, mean_returns, open_run
 from mjgranular.learn.settings import change, find_settings
 from mjgranular.learn.train import Training, train
+from mjgranular.picture.figures import PALETTE, figure
 
 
 @dataclass(frozen=True)
@@ -173,8 +173,6 @@ class TrainCommand:
 
 def _draw_curve(run: Run, training: Training) -> None:
     """Draw mean return against steps if matplotlib is installed."""
-    from mjgranular.picture.figures import PALETTE, figure
-
     means = mean_returns(training.progress.curve, run.settings.num_envs)
     thousands, returns = [steps / 1e3 for steps, _ in means], [mean for _, mean in means]
 

@@ -13,7 +13,7 @@ import mujoco
 import tyro
 
 from mjgranular.cli.console import err
-from mjgranular.cli.options import options_of, record_of
+from mjgranular.cli.options import options_of
 from mjgranular.engine import NAME, add_sand
 from mjgranular.errors import FloorWarning, InputError
 from mjgranular.experiment.drop import Drop, loading, make_ready, read, start_from
@@ -80,7 +80,7 @@ class ViewCommand(options_of(Drop, without=_NOT_OPTIONS)):
 
     def load(self) -> mujoco.MjModel:
         """Return the model with sand in it, in daylight."""
-        drop = record_of(Drop, self, duration=1.0)  # not used
+        drop = self.experiment(duration=1.0)  # not used
         with loading(drop.title), warnings.catch_warnings():
             spec = read(drop)
             if any(plugin.plugin_name == NAME for plugin in spec.plugins):

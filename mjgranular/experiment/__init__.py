@@ -3,11 +3,11 @@
 from mjgranular.experiment.drop import Drop as Drop
 from mjgranular.experiment.drop import DropResult as DropResult
 from mjgranular.experiment.drop import run_drop as run_drop
-from mjgranular.experiment.fall import run_impact as run_impact
 from mjgranular.experiment.impact import Impact as Impact
 from mjgranular.experiment.impact import ImpactResult as ImpactResult
 from mjgranular.experiment.impact import Rest as Rest
 from mjgranular.experiment.impact import Stop as Stop
+from mjgranular.experiment.impact import run_impact as run_impact
 from mjgranular.experiment.run_study import StudyResult as StudyResult
 from mjgranular.experiment.run_study import journal_of as journal_of
 from mjgranular.experiment.run_study import run_study as run_study

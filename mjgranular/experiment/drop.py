@@ -31,16 +31,16 @@ from mjgranular.experiment.ground import (
     hide_replaced,
     refuse_floors,
     warn_of_carrying,
-    watch_floors,
 )
-from mjgranular.experiment.sampling import Recorder, Sampler
-from mjgranular.experiment.watch import REST_WINDOW, RestWatch
+from mjgranular.experiment.sampling import REST_WINDOW, Recorder, RestWatch, Sampler
 from mjgranular.models import robot_path
 from mjgranular.render import Tracks
 from mjgranular.render.scenery import add_scenery, place_sun
 from mjgranular.sand import Sand
+from mjgranular.sand.chosen import geoms_in_sand
 from mjgranular.sand.report import BodyReport
 from mjgranular.sand.work import WorkMeter
+from mjgranular.surface.floors import FloorWatch
 
 LARGEST_STEP = 1e-4
 """Of a run with the explicit scheme whose time step is left to us [s]; chosen, not measured."""
@@ -80,22 +80,16 @@ class Drop(PlainSand):
                 "a model in memory use Sand and sand.step(data)"
             )
         if self.height is not None and not (is_finite(self.height) and self.height >= 0):
-            raise InputError(
-                f"the height must be finite and not negative, got {shown(self.height)} m"
-            )
+            raise InputError(f"height must be finite and not negative, got {shown(self.height)} m")
         if not is_finite(self.velocity):
             raise InputError(f"the velocity must be finite, got {shown(self.velocity)} m/s")
         for name, value in (("duration", self.duration), ("time step", self.timestep)):
             if value is not None and not (is_finite(value) and value > 0):
                 raise InputError(f"the {name} must be positive and finite, got {shown(value)} s")
 
-    def config(self) -> dict[str, Any]:
-        """Return the drop in plain values, which `from_config` reads."""
-        return {**asdict(self), "model": str(self.model)}
-
     @classmethod
     def from_config(cls, config: object) -> Drop:
-        """Return the drop of which `config` returned these values."""
+        """Return the drop of which `config.json` has these values."""
         where = "the drop's configuration"
         plain = {**config} if isinstance(config, dict) else {}
         for name in ("state", "site"):  # of version 0.2
@@ -138,14 +132,7 @@ class BodySummary:
     def of(
         cls, reports: Sequence[BodyReport], energy: float, force: float, depth: float
     ) -> BodySummary:
-        """Summarize a body.
-
-        Args:
-            reports: at all samples.
-            energy: that it gave [J].
-            force: the greatest, over all steps but the last [N].
-            depth: the greatest, over all steps but the last [m].
-        """
+        """Summarize a body: all samples; energy [J], force [N] and depth [m] but at the last."""
         in_sand = [report for report in reports if report.depth > 0]
         exceeded: dict[str, float] = {}
         for report in in_sand:
@@ -269,7 +256,8 @@ def run_drop(drop: Drop, *, progress: Callable[[float], None] | None = None) -> 
     recorder = Recorder(1 + model.nq + model.nv, keep=2048)
     recorder.due()
     sampler.take(0.0, recorder)
-    meter, floors = WorkMeter(sand, data), watch_floors(model, drop.sand)
+    meter = WorkMeter(sand, data)
+    floors = FloorWatch(model, geoms_in_sand(model, drop.sand), drop.surface)
     watch, rest = RestWatch(), None
     check_every = max(1, round(REST_WINDOW / model.opt.timestep / 20))
     points = _watched(model)
@@ -359,9 +347,7 @@ def read(drop: Drop) -> mujoco.MjSpec:
     file = robot_path(drop.model)
     check_regular(file, "the model")
     if file.suffix.lower() not in (".xml", ".urdf", ".mjz", ".zip"):
-        raise InputError(
-            f"cannot read the model {place(file)}: a model is an MJCF or URDF file, .xml or .urdf"
-        )
+        raise InputError(f"cannot read the model {place(file)}: use MJCF or URDF, .xml or .urdf")
     spec = mujoco.MjSpec.from_file(str(file))
     if drop.timestep is not None:
         spec.option.timestep = drop.timestep

@@ -26,11 +26,10 @@ RUN_FILES = (CONFIG, SUMMARY, _CSV, _NPZ)
 
 def write_impact(folder: ResultFolder, result: ImpactResult) -> None:
     """Write an impact: configuration, trajectory and summary, at once."""
-    with folder.published(unfinished=True):
-        folder.write_config("impact", {**asdict(result.impact), "law": result.law})
+    config = {**asdict(result.impact), "law": result.law}
+    with folder.published("impact", config, result.summary(), unfinished=True):
         folder.write(_CSV, result.trajectory.write_csv)
         folder.write(_NPZ, lambda path: result.trajectory.write_npz(path, result.prints))
-        folder.write_json(SUMMARY, result.summary())
 
 
 _DROP_ARRAYS = ("t", "qpos", "qvel", "depth", "point", "force", "power")
@@ -41,11 +40,9 @@ def write_drop(folder: ResultFolder, result: DropResult) -> None:
     arrays = {name: getattr(result, name) for name in _DROP_ARRAYS}
     if result.prints is not None:
         arrays |= result.prints.arrays()
-    with folder.published(unfinished=True):
-        folder.write_config("drop", result.drop.config())
+    with folder.published("drop", asdict(result.drop), result.summary(), unfinished=True):
         folder.write(_CSV, lambda path: _write_drop_csv(path, result))
         folder.write(_NPZ, lambda path: np.savez_compressed(path, **arrays))
-        folder.write_json(SUMMARY, result.summary())
 
 
 def _write_drop_csv(path: Path, result: DropResult) -> None:

@@ -70,9 +70,7 @@ class PlainSand:
             for name in ("surface_height", "slope", "uphill"):
                 if getattr(self, name) != 0.0:
                     option = f"--{name.replace('_', '-')}"
-                    raise InputError(
-                        f"{own} has the pose of its geom: {option} is for a plane, omit it"
-                    )
+                    raise InputError(f"{own} has its geom's pose: {option} is for a plane; omit it")
         elif self.uphill != 0.0 and self.slope == 0.0:
             raise InputError("--uphill is the direction of a slope: add --slope")
         _ = self.surface
@@ -91,9 +89,8 @@ class PlainSand:
         """The sand as `Sand` and `add_sand` take it."""
         same = ("medium", "law", "scheme", "resolution", "instead_of", "memory")
         chosen = {name: getattr(self, name) or None for name in ("bodies", "geoms", "groups")}
-        return SandSpec(
-            surface=self.surface, **chosen, **{name: getattr(self, name) for name in same}
-        )
+        others = {name: getattr(self, name) for name in same}
+        return SandSpec(surface=self.surface, **chosen, **others)
 
 
 def hide_replaced(model: mujoco.MjModel, sand: SandSpec) -> None:
@@ -110,11 +107,6 @@ def refuse_floors(model: mujoco.MjModel, sand: SandSpec) -> None:
     floors = find_floors(model, geoms_in_sand(model, sand), surface_of(sand.surface))
     if floors:
         raise InputError(_about(model, floors, WOULD_CARRY))
-
-
-def watch_floors(model: mujoco.MjModel, sand: SandSpec) -> FloorWatch:
-    """Return a watch for ground of the model that carries it during a run."""
-    return FloorWatch(model, geoms_in_sand(model, sand), surface_of(sand.surface))
 
 
 def warn_of_carrying(model: mujoco.MjModel, watch: FloorWatch) -> None:

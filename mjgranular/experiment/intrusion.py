@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -118,10 +118,6 @@ class Intrusion:
                 f"{'down' if down > 0 else 'up'}"
             )
         return length
-
-    def config(self) -> dict[str, Any]:
-        """Return the intrusion in plain values."""
-        return {**asdict(self), "model": None if self.model is None else str(self.model)}
 
 
 @dataclass(frozen=True)

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import math
+import sys
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import mujoco
+
 from mjgranular._util.checks import check_kind
+from mjgranular._util.io import read_file
 from mjgranular.errors import GranularError, InputError
-from mjgranular.experiment.custom import Custom, digest
-from mjgranular.experiment.drop import Drop, run_drop
-from mjgranular.experiment.fall import run_impact
-from mjgranular.experiment.impact import Impact
+from mjgranular.experiment.drop import Drop, loading, run_drop
+from mjgranular.experiment.impact import Impact, run_impact
 from mjgranular.experiment.intrusion import run_intrusion
 from mjgranular.experiment.study import (
     Experiment,
@@ -24,11 +27,19 @@ from mjgranular.experiment.study import (
     value_in_table,
     with_values,
 )
+from mjgranular.law import Law, law_in, laws, register_law
+from mjgranular.medium import Medium, get_medium, media
 from mjgranular.models import robot_path
 from mjgranular.pool import Failure, Journal, Mapped, Workers, map_tasks
 
 Row = dict[str, Any]
 """Result of one experiment: plain numbers and names."""
+
+Custom = tuple[list[type[Law]], dict[str, Medium]]
+"""Laws and media that are not part of the package: what a study needs besides, and workers too.
+
+Workers import laws from the modules that define them.
+"""
 
 
 @dataclass(kw_only=True)
@@ -103,17 +114,14 @@ def run_study(
     check_kind(study, Study, "run_study", "Study(experiment, {'speed': [1.0, 2.0]})")
     if journal is not None:
         check_kind(journal, Journal, "run_study", "journal_of(study, folder), opened")
-    custom = Custom.of(study)
-    if journal is None:
-        journal = journal_of(study, None)
-        journal.begin()
-    if journal.count < len(study):
+    custom = custom_of(study)
+    if journal is None or journal.count < len(study):
         _try(study.at(0))
     mapped = map_tasks(
         _row,
         study,  # pyright: ignore[reportArgumentType] - it has what is used of a sequence
         shared=(_with_absolute_path(study.experiment), custom),
-        on=Workers.of(workers),
+        on=workers if isinstance(workers, Workers) else Workers(count=workers),
         journal=journal,
         progress=progress,
     )
@@ -164,8 +172,12 @@ def _with_absolute_path(experiment: Experiment) -> Experiment:
 
 def _row(shared: tuple[Experiment, Custom], values: Mapping[str, Value]) -> Row:
     """Return the row of one experiment, in any process; the varied values come first."""
-    experiment, custom = shared
-    custom.register()
+    experiment, (custom_laws, custom_media) = shared
+    for law in custom_laws:
+        if law.name not in laws:
+            register_law(law)
+    for name, medium in custom_media.items():
+        media.add(name, medium, replace=True)
     varied = {column_of(name): value_in_table(name, value) for name, value in values.items()}
     row = {**varied, **run_experiment(with_values(experiment, values)), **varied}
     # Tables have no infinities: the cell is empty.
@@ -173,3 +185,58 @@ def _row(shared: tuple[Experiment, Custom], values: Mapping[str, Value]) -> Row:
         name: None if isinstance(value, float) and not math.isfinite(value) else value
         for name, value in row.items()
     }
+
+
+_LARGEST = 256 * 2**20  # bytes of a file; chosen
+_SHIPPED = dict(media)  # those of the package: every worker has them
+
+
+def custom_of(study: Study) -> Custom:
+    """Return what a study uses; a law defined where workers cannot import it is an error."""
+    names = {text.partition(" density=")[0] for text in _words(study, "medium")}
+    used = {name: get_medium(name) for name in sorted(names)}
+    others = {name: one for name, one in used.items() if _SHIPPED.get(name) is not one}
+    return list(_laws(study)), others
+
+
+def _laws(study: Study) -> Iterator[type[Law]]:
+    """Yield the laws that a study uses and that are not part of the package."""
+    kinds = {law_in(text)[0].name: law_in(text)[0] for text in _words(study, "law")}
+    for kind in kinds.values():
+        package = kind.__module__.partition(".")[0]
+        if package == "__main__":
+            raise InputError(
+                f"the law {kind.name!r} is defined in a script or notebook, where workers do not "
+                "find it: put it into a module, a separate file"
+            )
+        if package != "mjgranular":
+            yield kind
+
+
+def _words(study: Study, name: str) -> list[str]:
+    """Return all values of a field in a study, except None."""
+    values: Any = study.vary.get(name, [getattr(study.experiment, name)])
+    return [str(value) for value in values if value is not None]
+
+
+def digest(study: Study) -> str:
+    """Return a digest of the files, laws and media on which the results of a study depend."""
+    (custom_laws, custom_media), digest = custom_of(study), hashlib.sha256()
+    modules = [Path(sys.modules[law.__module__].__file__ or "") for law in custom_laws]
+    for path in [*_files(study.experiment), *modules]:
+        content = read_file(path, "a file of the study", largest=_LARGEST)
+        digest.update(f"{path.name}\0{len(content)}\0".encode() + content)
+    for name, medium in custom_media.items():
+        digest.update(f"{name}\0{medium}".encode())
+    return digest.hexdigest()
+
+
+def _files(experiment: Experiment) -> list[Path]:
+    """Return the model's file, and those that it refers to."""
+    if isinstance(experiment, Impact) or experiment.model is None:
+        return []
+    model = robot_path(experiment.model)
+    if model.suffix.lower() not in (".xml", ".urdf"):
+        return [model]
+    with loading(model.name):
+        return [model, *(Path(file) for file in mujoco.mju_getXMLDependencies(str(model)))]

@@ -8,6 +8,7 @@ import typing
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
@@ -87,9 +88,7 @@ class Study:
                 f"a study is of an Impact, a Drop or an Intrusion, got {kind_of(self.experiment)}"
             )
         if not isinstance(self.vary, Mapping):
-            raise InputError(
-                f"vary must be a table, {{'speed': [1.0, 2.0]}}, got {kind_of(self.vary)}"
-            )
+            raise InputError(f"vary must be a table, {{'speed': [1, 2]}}, got {kind_of(self.vary)}")
         if not self.vary:
             raise InputError("a study varies something, such as speed=(1.0, 2.0)")
         if self.sample is not None:
@@ -127,10 +126,10 @@ class Study:
 
     def config(self) -> dict[str, Any]:
         """Return the study in plain values."""
-        base = self.experiment
+        common = asdict(self.experiment).items()
         return {
-            "experiment": type(base).__name__.lower(),
-            "common": asdict(base) if isinstance(base, Impact) else base.config(),
+            "experiment": type(self.experiment).__name__.lower(),
+            "common": {key: str(v) if isinstance(v, Path) else v for key, v in common},
             "vary": {
                 name: asdict(values) if isinstance(values, Between) else [*map(_plain, values)]
                 for name, values in self.vary.items()

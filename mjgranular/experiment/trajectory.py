@@ -129,9 +129,7 @@ class Trajectory:
         arrays = read_arrays(path, [field.name for field in fields(cls)])
         t = arrays["t"]
         if t.ndim != 1 or not len(t) or any(a.shape != t.shape for a in arrays.values()):
-            raise OutputError(
-                f"{path} is damaged: all columns of a trajectory must have the same length"
-            )
+            raise OutputError(f"{path} is damaged: its columns differ in length")
         return cls(**arrays)
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from mjgranular._util.checks import kind_of
+from mjgranular._util.parse import parse_number
 from mjgranular._util.registry import Registry
 from mjgranular.errors import InputError, UnknownNameError, shown
 from mjgranular.medium.file import read_medium
@@ -26,8 +27,7 @@ def register_medium(medium: Medium, *, replace: bool = False) -> Medium:
     """
     if not isinstance(medium, Medium):
         raise InputError(
-            f"register_medium takes a Medium, not {kind_of(medium)}; read_medium makes one of a "
-            "YAML file"
+            f"register_medium takes a Medium, not {kind_of(medium)}; read_medium reads a YAML file"
         )
     media.add(medium.name, medium, replace=replace)
     return medium
@@ -67,10 +67,7 @@ def _with_options(medium: Medium, options: list[str], name: str) -> Medium:
             f"{shown(name)}: behind a medium's name stands density=KG/M^3 and nothing else; "
             'constants of a law stand behind the law\'s name, as in "rft3d scale=1.3"'
         )
-    try:
-        density = float(given["density"])
-    except ValueError:
-        raise InputError(
-            f"the density of a medium must be a number, not {shown(given['density'])}"
-        ) from None
+    density = parse_number(given["density"])
+    if density is None:
+        raise InputError(f"density must be a number, not {shown(given['density'])}")
     return replace(medium, name=name, density=Quantity(density, "kg/m^3", "given by the user"))

@@ -66,33 +66,25 @@ class Medium:
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name.strip():
-            raise InputError(
-                f"a medium has a name, a text such as 'my_sand', not {kind_of(self.name)}"
-            )
+            raise InputError(f"a medium has a name such as 'my_sand', not {kind_of(self.name)}")
         medium = f"medium {shown(self.name)}"
         if not isinstance(self.constants, Mapping):
             raise InputError(
                 f"{medium}: constants are a table of laws, {{'rft3d': {{name: Quantity(...)}}}}, "
                 f"not {kind_of(self.constants)}"
             )
-        for value in (self.density, *([] if self.grain is None else [self.grain])):
-            if not isinstance(value, Quantity):
+        sizes = [("bulk density", self.density, _DENSITIES, "kg/m^3")]
+        if self.grain is not None:
+            sizes.append(("grain size", self.grain, _GRAINS, "m"))
+        for what, one, (low, high), unit in sizes:
+            if not isinstance(one, Quantity):
                 raise InputError(
-                    f"{medium}: density and grain are each a Quantity(value, unit, source), not "
-                    f"{kind_of(value)}"
+                    f"{medium}: the {what} is a Quantity(value, unit, source), not {kind_of(one)}"
                 )
-        low, high = _DENSITIES
-        if not (math.isfinite(self.density.value) and low <= self.density.value <= high):
-            raise InputError(
-                f"{medium}: the bulk density must be from {low:g} to {high:g} kg/m^3, "
-                f"not {self.density.value}"
-            )
-        low, high = _GRAINS
-        if self.grain is not None and not low <= self.grain.value <= high:
-            raise InputError(
-                f"{medium}: the grain size must be from {low:g} to {high:g} m, "
-                f"not {self.grain.value}"
-            )
+            if not low <= one.value <= high:
+                raise InputError(
+                    f"{medium}: the {what} must be from {low:g} to {high:g} {unit}, not {one.value}"
+                )
         for law, constants in self.constants.items():
             if not isinstance(constants, Mapping):
                 raise InputError(

@@ -59,10 +59,6 @@ class Journal:
         """Yield the existing results, in the order of their tasks."""
         return (self[index] for index in range(len(self)) if index in self)
 
-    def missing(self) -> Iterator[int]:
-        """Yield the numbers of the tasks without a result, searched lazily."""
-        return (index for index in range(len(self)) if index not in self)
-
     def fault(self) -> str | None:
         """Return why a run cannot resume from the file in the folder; None if it can."""
         return self._read()[0]

@@ -12,8 +12,10 @@ from typing import Any
 
 from mjgranular._util.signals import signal_of
 from mjgranular.pool.journal import Journal
-from mjgranular.pool.local import Processes, ThisProcess
-from mjgranular.pool.workers import Function, Pool, WorkerLostError, Workers
+from mjgranular.pool.on_ray import RayPool
+from mjgranular.pool.workers import Function, Processes, ThisProcess, WorkerLostError, Workers
+
+Pool = ThisProcess | Processes | RayPool
 
 TRIES = 3
 """Attempts at a task whose worker dies; after the first it runs alone."""
@@ -21,10 +23,7 @@ TRIES = 3
 
 @dataclass(frozen=True)
 class Failure:
-    """A task without a result: its number, the reason, in a sentence, and whether it was lost.
-
-    It is lost if all of its three workers died; else it raised an error.
-    """
+    """A task that raised an error, or was lost, as all of its three workers died."""
 
     index: int
     reason: str
@@ -33,17 +32,11 @@ class Failure:
 
 @dataclass(kw_only=True)
 class Mapped:
-    """Outcome of many tasks.
-
-    Attributes:
-        journal: the results; `journal.results()` yields them in the order of the tasks.
-        failures: tasks without a result, in order.
-        stopped_by: the signal that interrupted the run before its end; None if none did.
-    """
+    """Outcome of many tasks: a journal of results, and failures in the order of the tasks."""
 
     journal: Journal
     failures: list[Failure]
-    stopped_by: int | None = None
+    stopped_by: int | None = None  # signal that interrupted the run before its end
 
     @property
     def interrupted(self) -> bool:
@@ -80,8 +73,7 @@ def map_tasks(
         tasks: accessed lazily; need not be in memory.
         shared: sent to each worker once.
         on: where the tasks run; None for one process per core.
-        journal: journal for the results; tasks with results in it are skipped. None for a temporary
-            one.
+        journal: tasks with results in it are skipped; None for a temporary one.
         progress: called with the number of finished tasks.
 
     Raises:
@@ -110,8 +102,6 @@ def map_tasks(
 
 def _open(function: Function, shared: Any, workers: Workers, todo: int) -> Pool:
     if workers.engine == "ray":
-        from mjgranular.pool.on_ray import RayPool
-
         return RayPool(function, shared, workers)
     count = min(workers.count or os.cpu_count() or 1, todo)
     return ThisProcess(function, shared) if count == 1 else Processes(function, shared, count)
@@ -121,18 +111,19 @@ def _follow(
     pool: Pool, tasks: Sequence[Any], mapped: Mapped, progress: Callable[[int], None] | None
 ) -> None:
     """Submit tasks and collect their results until each has an answer or is lost."""
-    journal, missing = mapped.journal, mapped.journal.missing()
+    journal = mapped.journal
+    missing = (index for index in range(len(journal)) if index not in journal)
     under_way: dict[Future, int] = {}
     suspects: deque[int] = deque()  # tasks whose worker has died
     lost: Counter[int] = Counter()  # workers that each of these may have killed
     while True:
         for index in islice(missing, pool.slots - len(under_way)):
             under_way[pool.submit(tasks[index])] = index
-        if not under_way and suspects:  # alone, so that no other task is lost with it
-            index = suspects.popleft()
-            under_way[pool.submit(tasks[index])] = index
         if not under_way:
-            return
+            if not suspects:
+                return
+            index = suspects.popleft()  # alone, so that no other task is lost with it
+            under_way[pool.submit(tasks[index])] = index
         for future in wait(under_way, return_when=FIRST_COMPLETED).done:
             index = under_way.pop(future)
             try:

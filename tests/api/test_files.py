@@ -13,13 +13,11 @@ import pytest
 
 from mjgranular._util import files
 from mjgranular._util.io import checked_fields, is_plain_name, read_arrays, read_bytes, read_json
-from mjgranular._util.result_folder import ResultFolder
 from mjgranular._util.signals import Stopped, stopped_by_signals
 from mjgranular.cli import main
 from mjgranular.errors import OutputError
 from mjgranular.experiment import Impact, Study, journal_of, run_study
 from mjgranular.experiment.folder import read_impact
-from mjgranular.picture import figures
 from mjgranular.pool import UNFINISHED
 
 BALL = """
@@ -241,8 +239,8 @@ def test_a_result_takes_the_place_of_the_whole_one_before(tmp_path, capfd):
 @pytest.mark.parametrize(
     ("command", "drawn"),
     [
-        (["impact", *QUICK], "draw_forces"),
-        (["drop", "ball.xml", "--duration", "0.05"], "draw_drop"),
+        (["impact", *QUICK], "mjgranular.cli.impact.draw_forces"),
+        (["drop", "ball.xml", "--duration", "0.05"], "mjgranular.cli.drop.draw_drop"),
     ],
 )
 def test_a_command_that_was_cut_off_while_it_drew_goes_on(
@@ -259,7 +257,7 @@ def test_a_command_that_was_cut_off_while_it_drew_goes_on(
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patched:
-        patched.setattr(figures, drawn, cut_off)
+        patched.setattr(drawn, cut_off)
         assert main(command) == 130
     assert main(other) == 2
     assert "holds a result already" in capfd.readouterr().err
@@ -290,12 +288,9 @@ def test_a_reader_sees_one_result_while_it_is_replaced(tmp_path, monkeypatch):
         nonlocal calls
         calls += 1
         if calls == 1:  # after configuration and summary were read, before the samples
-            claimed = ResultFolder(folder, ("config.json", "summary.json", "trajectory.npz"))
-            with claimed.claimed(overwrite=True), claimed.published():
+            with files.replace_directory(folder) as waiting:
                 for path in (tmp_path / "4").glob("*.[jn]*"):
-                    claimed.write(
-                        path.name, lambda to, path=path: to.write_bytes(path.read_bytes())
-                    )
+                    (waiting / path.name).write_bytes(path.read_bytes())
         return read_arrays(file, names, **options)
 
     monkeypatch.setattr("mjgranular.experiment.trajectory.read_arrays", arrays)

@@ -364,7 +364,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "density of a medium": (
         lambda: mg.Medium(name="a", title="a", density=1500, default_law="link", constants={}),
-        "medium 'a': density and grain are each a Quantity(value",
+        "medium 'a': the bulk density is a Quantity(value",
     ),
     "text for a quantity": (lambda: quantity("1500"), "a quantity's value is a number"),
     "endless density": (
@@ -620,14 +620,14 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
         lambda: run_drop("robot.xml"),
         "run_drop takes a Drop, not 'robot.xml'; use Drop(path",
     ),
-    "medium without a name": (lambda: medium(name=""), "a medium has a name, a text such as"),
-    "number for a medium's name": (lambda: medium(name=3), "a medium has a name, a text such as"),
+    "medium without a name": (lambda: medium(name=""), "a medium has a name such as"),
+    "number for a medium's name": (lambda: medium(name=3), "a medium has a name such as"),
     "list of constants": (lambda: medium(constants=[1]), "constants are a table of laws, {'rft3d'"),
     "law of an impact": (
         lambda: Impact(law=mg.LinkLaw),
         "medium and law of an impact ... the class LinkLaw",
     ),
-    "text for a height": (lambda: Drop("robot.xml", height="1"), "the height must be finite and"),
+    "text for a height": (lambda: Drop("robot.xml", height="1"), "height must be finite and"),
     "policy for its maker": (
         lambda: evaluated(object()),
         "make_agent must be a function",
@@ -663,7 +663,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "pairs for what is varied": (
         lambda: Study(Impact(), [("speed", [1.0])]),  # pyright: ignore[reportArgumentType]
-        "must be a table, {'speed': [1.0, 2.0]} ... a list",
+        "must be a table, {'speed': [1, 2]} ... a list",
     ),
     "half a sample": (
         lambda: Study(Impact(), {"speed": [1.0]}, sample=2.5),  # pyright: ignore[reportArgumentType]

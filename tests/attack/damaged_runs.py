@@ -28,7 +28,7 @@ import strangers
 
 from mjgranular._util import files
 from mjgranular._util.result_folder import ResultFolder
-from mjgranular.cli.agents import find_actor
+from mjgranular.cli.evaluate import find_actor
 from mjgranular.cli.impact import release_to_stop
 from mjgranular.cli.main import main
 from mjgranular.cli.render import RenderCommand

@@ -16,9 +16,8 @@ from mjgranular.cli import main
 from mjgranular.errors import InputError, MissingExtraError, OutputError, UnknownNameError
 from mjgranular.pool import UNFINISHED, Journal, Workers, map_tasks
 from mjgranular.pool import tasks as handing
-from mjgranular.pool.local import ThisProcess
 from mjgranular.pool.on_ray import RayPool, _run
-from mjgranular.pool.workers import Answer, WorkerLostError
+from mjgranular.pool.workers import Answer, ThisProcess, WorkerLostError
 
 HERE = Workers(count=1)
 

@@ -68,7 +68,7 @@ drop | Missing from mjgranular drop: MODEL.xml
 drop blok.xml | MuJoCo cannot load blok.xml
 drop '' | cannot read the model .: it is a folder
 drop . | cannot read the model .: it is a folder
-drop notes.txt | cannot read the model notes.txt: a model is an MJCF or URDF file
+drop notes.txt | cannot read the model notes.txt: use MJCF or URDF
 drop broken.xml | MuJoCo cannot load broken.xml
 drop empty.xml | MuJoCo cannot load empty.xml
 drop urdf.xml | no geom of the model can meet the sand: a body with a joint and a collision geom
@@ -78,9 +78,9 @@ drop nobody.xml | no geom of the model can meet the sand: a body with a joint an
 drop fixed.xml | no geom of the model can meet the sand: a body with a joint and a collision geom
 drop floor.xml | the model's own geom 'floor'
 drop sand.xml | config 'law': the law 'rft3d' has no option 'scael'
-drop mine.yaml | cannot read the model mine.yaml: a model is an MJCF or URDF file
-drop block.xml --height -0.1 | the height must be finite and not negative
-drop block.xml --height nan | the height must be finite and not negative
+drop mine.yaml | cannot read the model mine.yaml: use MJCF or URDF
+drop block.xml --height -0.1 | height must be finite and not negative
+drop block.xml --height nan | height must be finite and not negative
 drop block.xml --height 10cm | a number without its unit ... '10cm'
 drop hinged.xml --height 1 | the model has no free joint and no vertical slide at its root: it can
 drop hinged.xml --velocity 1 | the model has no free joint and no vertical slide at its root: it
@@ -132,7 +132,7 @@ drop block.xml --law link --medium play_sand | choose them with --geoms NAME or 
 drop block.xml --memory 'yes please' | memory, the side of a cell, must be a number
 drop block.xml --video | --video needs a folder to write to: add --out DIR
 drop block.xml --out old | old holds a result already (config.json, summary.json):
-drop block.xml --out notes.txt | cannot write to notes.txt: File exists; choose a folder
+drop block.xml --out notes.txt | cannot write to notes.txt: File exists; choose a writable folder
 drop block.xml --out /proc/nowhere | cannot write to /proc/nowhere
 drop block.xml --out results --video --camera up | no camera 'up'; there are:
 drop block.xml --hieght 0.1 | Unrecognized options: --hieght
@@ -145,7 +145,7 @@ elements block.xml --color depth | --color is for a figure: add --figure FILE
 elements block.xml --figure old | a figure is written as .png, .svg or .pdf, not
 elements block.xml --color red | invalid choice 'red' for argument '--color'. Expected one of
 elements block.xml --law link --medium glass_beads | no constants in medium 'glass_beads' for law
-impact --speed -1 | the speed of T is downward and must not be negative
+impact --speed -1 | the downward speed of T must not be negative
 impact --angle 90 | the angle from the vertical must be less than 90 degrees
 impact --body cube | invalid choice 'cube' for argument '--body'. Expected one of
 impact --body sphere --length 0.3 | a sphere has no --length: its size is its --diameter
@@ -188,7 +188,7 @@ train CartPole | no environment 'CartPole' ... did you mean CartPole-v1
 train quad | no environment 'quad'; there are: mjgranular/Ant-v0,
 train quad.py | no environment 'quad.py'; there are: mjgranular/Ant-v0,
 train quad: | 'quad:' lacks the id behind the colon: quad:My-v0
-train :Quad-v0 | the module '' of the environment :Quad-v0 cannot be imported: one is named as
+train :Quad-v0 | the module '' of the environment :Quad-v0 cannot be imported: name it as
 train quad:Quadd-v0 | no environment 'quad:Quadd-v0' ... did you mean quad:Quad-v0
 train quad:Nope-v0 | no environment 'quad:Nope-v0'; there are: quad:Quad-v0
 train qaud:Quad-v0 | no module 'qaud'; there are: error, quad ... did you mean quad?

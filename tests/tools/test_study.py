@@ -262,7 +262,7 @@ def test_a_law_of_ones_own_acts_in_worker_processes(tmp_path):
 
 
 def test_a_law_of_a_script_is_refused(monkeypatch):
-    from mjgranular.experiment.custom import Custom
+    from mjgranular.experiment.run_study import custom_of
     from mjgranular.law import laws
     from mjgranular.law.link import LinkLaw
 
@@ -270,4 +270,4 @@ def test_a_law_of_a_script_is_refused(monkeypatch):
     monkeypatch.setitem(laws._things, "mud", mud)
     study = Study(Impact(law="mud eta_d=1 eta_h=1 eta_v=1"), {"speed": [1.0]})
     with pytest.raises(InputError, match="put it into a module"):
-        Custom.of(study)
+        custom_of(study)
