@@ -1,6 +1,5 @@
 """Models of the package, and builders for other sizes of them."""
 
-from mjgranular.models.chain import Chain as Chain
 from mjgranular.models.hexapod import Hexapod as Hexapod
 from mjgranular.models.li_robot import LiRobot as LiRobot
 from mjgranular.models.link import Link as Link

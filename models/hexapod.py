@@ -9,7 +9,7 @@ import numpy as np
 
 from mjgranular._util.checks import is_finite
 from mjgranular.errors import InputError
-from mjgranular.models.link import add_servo, robot_scene
+from mjgranular.models.link import LEGGED, add_servo, robot_scene
 
 LEGS = ("front_left", "middle_left", "rear_left", "front_right", "middle_right", "rear_right")
 """Names of the legs, in the order of their joints and servos."""
@@ -84,7 +84,7 @@ class Hexapod:
 
     def spec(self, timestep: float) -> mujoco.MjSpec:
         """Return an editable model, with a floor at z = 0, at a time step [s]."""
-        spec = robot_scene("hexapod", timestep)
+        spec = robot_scene("hexapod", timestep, LEGGED)
         torso = spec.worldbody.add_body(name="torso", pos=[0, 0, self.standing])
         torso.add_freejoint(name="root")
         torso.add_geom(

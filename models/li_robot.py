@@ -10,7 +10,7 @@ import numpy as np
 
 from mjgranular._util.checks import is_finite
 from mjgranular.errors import InputError
-from mjgranular.models.link import robot_scene
+from mjgranular.models.link import LEGGED, robot_scene
 
 HIPS = (-0.05, 0.0, 0.05)
 """Positions of the hips along the body [m]; not published, chosen from the drawing of Li et al."""
@@ -73,7 +73,7 @@ class LiRobot:
 
     def spec(self, timestep: float = 1e-3) -> mujoco.MjSpec:
         """Build an editable model, with a floor at z = 0."""
-        spec = robot_scene("li_robot", timestep)
+        spec = robot_scene("li_robot", timestep, LEGGED)
         body = spec.worldbody.add_body(
             name="body",
             mass=self.mass - 6 * _LEG_MASS,

@@ -21,6 +21,9 @@ PAPER_LENGTH = 0.2
 DARK = (0.25, 0.27, 0.31)
 """Color of legs and heads of robots."""
 
+LEGGED = {"shell": (0.86, 0.45, 0.16), "leg": DARK}
+"""Colors of robots with legs."""
+
 
 def model_path(name: str) -> Path:
     """Return the path of an MJCF file by name, "link" for example.
@@ -180,28 +183,31 @@ def add_servo(
     servo.forcelimited, servo.forcerange = True, [-torque, torque]
 
 
-def robot_scene(name: str, timestep: float) -> mujoco.MjSpec:
-    """Return an editable model without bodies: lights, a floor at z = 0, materials for robots."""
+def robot_scene(
+    name: str,
+    timestep: float,
+    colors: dict[str, tuple[float, float, float]],
+    *,
+    length: float | None = None,
+) -> mujoco.MjSpec:
+    """Return an editable model without bodies: lights, a floor at z = 0, materials of these colors.
+
+    It has the cameras of link.xml, scaled to a robot of that length [m], or none.
+    """
     spec = mujoco.MjSpec.from_file(str(model_path("link")))
     spec.modelname = name
     spec.comment = f"Made by mjgranular.models: {name}."
-    for each in (*spec.cameras, *spec.texts, spec.body("link"), spec.key("impact")):
+    if length is None:
+        for camera in spec.cameras:
+            spec.delete(camera)
+    else:
+        scale_scenery(spec, length / PAPER_LENGTH)
+    geoms = (spec.geom("bed"), spec.geom("table"))
+    for each in (*geoms, *spec.texts, spec.body("link"), spec.key("impact")):
         spec.delete(each)
-    make_floor(spec, timestep)
-    paint(spec, shell=(0.86, 0.45, 0.16), leg=DARK)
-    return spec
-
-
-def make_floor(spec: mujoco.MjSpec, timestep: float) -> None:
-    """Put a floor at z = 0 in place of the bed of link.xml; set the options of robots."""
-    for each in ("bed", "table"):
-        spec.delete(spec.geom(each))
     spec.option.timestep = timestep
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[50, 50, 1])
-
-
-def paint(spec: mujoco.MjSpec, **colors: tuple[float, float, float]) -> None:
-    """Add materials of robots by their names, from red, green and blue."""
     for part, color in colors.items():
         spec.add_material(name=part, rgba=[*color, 1], specular=0.3, shininess=0.4)
+    return spec

@@ -11,8 +11,7 @@ import numpy as np
 
 from mjgranular._util.checks import is_finite
 from mjgranular.errors import InputError
-from mjgranular.models.chain import Chain
-from mjgranular.models.link import DARK, add_servo, make_floor, paint
+from mjgranular.models.link import DARK, Link, add_servo, robot_scene
 
 Posture = Literal["level", "upright"]
 
@@ -101,39 +100,21 @@ class Worm:
         return (*reversed(range(first, behind)), *range(behind, self.count + 2))
 
     @property
-    def chain(self) -> Chain:
-        """A chain of the same number of thin rods, with the scenery and the masses of the links."""
-        level = self.posture == "level"
-        thin = self.step / 2
-        return Chain(
-            self.count,
-            length=self.step,
-            diameter=thin,
-            density=self.density * (self.width / thin) ** 2,
-            base="level" if level else "free",
-            height=-self.depth if level else None,
-        )
-
-    @property
     def mass(self) -> float:
         """Mass of the body [kg]."""
-        return self.chain.mass
+        return self.count * self._link_mass
 
     def spec(self, timestep: float) -> mujoco.MjSpec:
         """Return an editable model, with a floor at z = 0, at a time step [s]."""
-        level = self.posture == "level"
-        spec = self.chain.spec()
-        spec.modelname = "worm"
-        spec.comment = "A worm: mjgranular.models.Worm."
-        spec.delete(spec.body("link0"))
-        spec.delete(spec.key("start"))
-        make_floor(spec, timestep)
-        for light in spec.lights:  # a level worm lies on the rendered sand
-            light.castshadow = not level
-        if level:  # the chain's first link is at x = 0; here it is the middle one
-            for camera in spec.cameras:
-                camera.pos[0] += self.length / 2
-        paint(spec, skin=(0.72, 0.36, 0.22), head=DARK)
+        colors = {"skin": (0.72, 0.36, 0.22), "head": DARK}
+        spec = robot_scene("worm", timestep, colors, length=self.length)
+        if self.posture == "level":
+            for light in spec.lights:  # it lies on the rendered sand
+                light.castshadow = False
+            for name, distance in (("side", 3.0), ("close", 1.5)):
+                camera, away = spec.camera(name), distance * self.length
+                camera.pos = [0.0, -0.6 * away, 0.8 * away - self.depth]
+                camera.alt.xyaxes = [1, 0, 0, 0, 0.8, 0.6]
         middle = self._add_root(spec)
         parent = middle
         for index in reversed(range(self.root)):
@@ -151,6 +132,11 @@ class Worm:
         if self.posture == "upright":
             qpos[1], qpos[2] = self.width / 2, -math.pi / 2
         return qpos
+
+    @property
+    def _link_mass(self) -> float:
+        thin = self.step / 2  # a link is slender: a thin one, of the mass of a wide cylinder
+        return Link(self.step, thin, self.density * (self.width / thin) ** 2).mass
 
     @property
     def _axis(self) -> np.ndarray:
@@ -187,7 +173,7 @@ class Worm:
 
     def _fill(self, body: mujoco.MjsBody, index: int) -> None:
         """Add mass and geom."""
-        mass = self.chain.link.mass
+        mass = self._link_mass
         across = mass * (3 * (self.width / 2) ** 2 + self.step**2) / 12
         body.explicitinertial = True
         body.ipos = [0, 0, 0]  # unset, it would be taken from the body's position
