@@ -1,4 +1,4 @@
-"""Models of the package, and builders for other sizes of them."""
+"""Models of the package: files, and builders of the link, of bodies in its place and of robots."""
 
 from mjgranular.models.hexapod import Hexapod as Hexapod
 from mjgranular.models.li_robot import LiRobot as LiRobot

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 import mujoco
 import numpy as np
@@ -43,31 +44,22 @@ class LiRobot:
         curvature: curvature of the legs, half the chord over the radius of the arc: 1 is a
             semicircle that bulges in the direction of motion in the sand, 0 is straight, -1 the
             reversed semicircle.
-        length: length of the body [m].
-        width: width of the belly [m].
-        mass: mass of the robot [kg].
-        inertia: moment of inertia about the pitch axis, through the center of mass [kg m^2].
-        chord: distance from hip to tip of a leg [m].
-        leg_width: width of a leg, along y [m].
-        thickness: thickness of a leg [m].
 
     Raises:
-        InputError: a value outside its range.
+        InputError: a curvature outside its range.
     """
 
+    length: ClassVar[float] = 0.13  # of the body [m]
+    width: ClassVar[float] = 0.02  # of the belly [m]
+    mass: ClassVar[float] = 0.15  # of the robot [kg]
+    inertia: ClassVar[float] = 2.08e-4  # about the pitch axis, through the center of mass [kg m^2]
+    chord: ClassVar[float] = 0.041  # from hip to tip of a leg [m]
+    leg_width: ClassVar[float] = 0.01  # along y [m]
+    thickness: ClassVar[float] = 0.003  # of a leg [m]
+
     curvature: float = 1.0
-    length: float = 0.13
-    width: float = 0.02
-    mass: float = 0.15
-    inertia: float = 2.08e-4
-    chord: float = 0.041
-    leg_width: float = 0.01
-    thickness: float = 0.003
 
     def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if name != "curvature" and not (is_finite(value) and value > 0):
-                raise InputError(f"the robot's {name} must be positive, got {value}")
         if not (is_finite(self.curvature) and abs(self.curvature) <= 1):
             raise InputError(f"the legs' curvature must be from -1 to 1, got {self.curvature}")
 
