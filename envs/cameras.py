@@ -38,6 +38,9 @@ class Cameras:
             hint = "without a name the one that follows the robot is taken"
             raise UnknownNameError("camera", camera_name, known, hint)
         self.mode, self.width, self.height, self.camera_name = mode, width, height, camera_name
+        self.settings = {
+            "render_mode": mode, "width": width, "height": height, "camera_name": camera_name,
+        }  # fmt: skip
         self._task, self._renderer, self._viewer = task, None, None
         self._surfaces = [choice.surface for choice in task.choices]
 

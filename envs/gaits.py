@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import Any, ClassVar
 
 import numpy as np
 
 from mjgranular._util.checks import kind_of
-from mjgranular.envs.options import check_number
-from mjgranular.envs.task import Task
+from mjgranular.envs.task import Task, check_number
 from mjgranular.errors import InputError, UnknownNameError
 
 
@@ -144,19 +144,8 @@ gaits: dict[str, type[Gait]] = {
 """Gaits by the names of their tasks."""
 
 
-class Script:
-    """A gait for a task, as a function from time to actions."""
-
-    def __init__(self, gait: Gait, size: int) -> None:
-        self.gait, self._size = gait, size
-
-    def __call__(self, time: float) -> np.ndarray:
-        """Return the action at a time [s]."""
-        return self.gait.action(time, self._size).astype(np.float32)
-
-
-def gait(task: Task, **parameters: Any) -> Script:
-    """Return the scripted gait of a task.
+def gait(task: Task, **parameters: Any) -> Callable[[float], np.ndarray]:
+    """Return the scripted gait of a task: a function from time [s] to actions.
 
     Args:
         task: the task, as `env.unwrapped.task`.
@@ -179,4 +168,5 @@ def gait(task: Task, **parameters: Any) -> Script:
     for given in parameters:
         if given not in known:
             raise InputError(f"the gait of {name} has no {given!r}; it has: {', '.join(known)}")
-    return Script(cls(**parameters), int(np.prod(task.action_space.shape)))
+    made, size = cls(**parameters), int(np.prod(task.action_space.shape))
+    return lambda time: made.action(time, size).astype(np.float32)

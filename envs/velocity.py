@@ -54,15 +54,10 @@ _TILT = math.cos(math.radians(70))  # as in mjlab
 
 
 class Motor(NamedTuple):
-    """The motor of a joint, behind its gear.
+    """The motor of a joint, behind its gear."""
 
-    Attributes:
-        torque: the largest [N m].
-        inertia: of its rotor [kg m^2].
-    """
-
-    torque: float
-    inertia: float
+    torque: float  # the largest [N m]
+    inertia: float  # of its rotor [kg m^2]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -36,34 +36,21 @@ class Worm:
     motor. All values are chosen, not measured; with those of a level worm one of a sandfish's size
     can swim, and they are larger than those of real servos of that size.
 
-    Attributes:
-        count: number of links.
-        length: length of the body [m].
-        width: width of the body [m].
-        density: density of the body [kg/m^3].
-        posture: "level" or "upright".
-        depth: depth of the axis of a level worm [m].
-        bend: largest commanded servo angle in both directions [rad].
-        stiffness: gain of a servo [N m/rad].
-        torque: stall torque of a servo [N m].
-        speed: no-load speed of a servo [rad/s].
-        armature: inertia of a servo's rotor, at the joint [kg m^2].
-
     Raises:
         InputError: a value outside its range.
     """
 
-    count: int = 7
-    length: float = 0.12
-    width: float = 0.016
-    density: float = 1100.0
-    posture: Posture = "level"
-    depth: float = 0.048
-    bend: float = 1.0
-    stiffness: float = 5.0
-    torque: float = 1.0
-    speed: float = 8.0
-    armature: float = 1e-4
+    count: int = 7  # number of links
+    length: float = 0.12  # length of the body [m]
+    width: float = 0.016  # width of the body [m]
+    density: float = 1100.0  # density of the body [kg/m^3]
+    posture: Posture = "level"  # "level" or "upright"
+    depth: float = 0.048  # depth of the axis of a level worm [m]
+    bend: float = 1.0  # largest commanded servo angle in both directions [rad]
+    stiffness: float = 5.0  # gain of a servo [N m/rad]
+    torque: float = 1.0  # stall torque of a servo [N m]
+    speed: float = 8.0  # no-load speed of a servo [rad/s]
+    armature: float = 1e-4  # inertia of a servo's rotor, at the joint [kg m^2]
 
     def __post_init__(self) -> None:
         if not isinstance(self.count, int) or isinstance(self.count, bool) or self.count < 1:

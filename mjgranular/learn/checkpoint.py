@@ -45,17 +45,11 @@ _EPISODE_STATE = (
 
 @dataclass(frozen=True)
 class Progress:
-    """Progress of a training.
+    """Progress of a training."""
 
-    Attributes:
-        steps: steps of all environments together.
-        seconds: time spent in training, in all processes together [s].
-        curve: rows of `run.CURVE_COLUMNS`.
-    """
-
-    steps: int
-    seconds: float
-    curve: Sequence[tuple[float, ...]]
+    steps: int  # steps of all environments together
+    seconds: float  # time spent in training, in all processes together [s]
+    curve: Sequence[tuple[float, ...]]  # rows of `run.CURVE_COLUMNS`
 
 
 def save_checkpoint(run: Run, model: Any, progress: Progress) -> None:
@@ -118,29 +112,17 @@ def _write_json(file: Path, content: Any) -> None:
 
 @dataclass(frozen=True)
 class Normalizer:
-    """Statistics of a `VecNormalize`, which scales observations as it does.
+    """Statistics of a `VecNormalize`, which scales observations as it does."""
 
-    Attributes:
-        observations: whether observations are scaled.
-        mean: of the observations, shape of one; empty if they are not scaled, as the next.
-        variance: of the observations.
-        count: number of observations.
-        clip: largest absolute value of a scaled number.
-        epsilon: added to the variance.
-        return_mean: mean of the discounted returns.
-        return_variance: their variance.
-        return_count: their number.
-    """
-
-    observations: bool
-    mean: np.ndarray
-    variance: np.ndarray
-    count: float
-    clip: float
-    epsilon: float
-    return_mean: float
-    return_variance: float
-    return_count: float
+    observations: bool  # whether observations are scaled
+    mean: np.ndarray  # of the observations, shape of one; empty if they are not scaled, as the next
+    variance: np.ndarray  # of the observations
+    count: float  # number of observations
+    clip: float  # largest absolute value of a scaled number
+    epsilon: float  # added to the variance
+    return_mean: float  # mean of the discounted returns
+    return_variance: float  # their variance
+    return_count: float  # their number
 
     def __call__(self, observations: np.ndarray) -> np.ndarray:
         if not self.observations:

@@ -69,11 +69,8 @@ def for_filming(
     env_id: str, arguments: Mapping[str, Any], *, width: int, height: int, camera: str | None
 ) -> Any:
     """Return one environment that renders itself."""
-    from gymnasium.envs.registration import load_env_creator
-
-    creator = find_spec(env_id).entry_point
-    if isinstance(creator, str):
-        creator = load_env_creator(creator)
+    known = importlib.import_module("mjgranular.envs.known")
+    creator = known.creator_of(known.find_spec(env_id).entry_point)
     parameters = inspect.signature(creator).parameters
     takes_all = any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters.values())
     if camera is not None and not (takes_all or "camera_name" in parameters):

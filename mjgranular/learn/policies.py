@@ -31,19 +31,12 @@ POLICY_FILES = (CONFIG, POLICY, NORMALIZER, CURVE)
 
 @dataclass(frozen=True)
 class Policy:
-    """A trained policy.
+    """A trained policy."""
 
-    Attributes:
-        run: the run that trained it.
-        folder: folder with its files.
-        model: a policy of Stable-Baselines3, `BasePolicy`.
-        normalizer: scales its observations.
-    """
-
-    run: Run
-    folder: Path
-    model: Any
-    normalizer: Normalizer
+    run: Run  # the run that trained it
+    folder: Path  # folder with its files
+    model: Any  # a policy of Stable-Baselines3, `BasePolicy`
+    normalizer: Normalizer  # scales its observations
 
     def act(self, observations: np.ndarray, steps: np.ndarray) -> np.ndarray:
         """Return the actions, without noise.

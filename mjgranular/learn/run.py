@@ -46,25 +46,17 @@ _KEPT = 2  # checkpoints; the older one in case the newer is damaged
 
 @dataclass(frozen=True)
 class Run:
-    """A training run on disk.
+    """A training run on disk."""
 
-    Attributes:
-        path: its folder.
-        environment: Gymnasium's id.
-        settings: resolved.
-        seed: all random numbers follow from it.
-        versions: versions of the packages that it was started with.
-        sand: sand of its environment when the run started; None if unknown, as for environments
-            without a MuJoCo model.
-        trusted: whether the user trusts it, so that modules that it names may be imported.
-    """
-
-    path: Path
-    environment: str
-    settings: Settings
-    seed: int
-    versions: dict[str, Any]
+    path: Path  # its folder
+    environment: str  # Gymnasium's id
+    settings: Settings  # resolved
+    seed: int  # all random numbers follow from it
+    versions: dict[str, Any]  # versions of the packages that it was started with
+    # Sand of its environment when the run started; None if unknown, as for environments without a
+    # MuJoCo model
     sand: Sands | None = None
+    # Whether the user trusts it, so that modules that it names may be imported
     trusted: bool = False
 
     @property

@@ -37,17 +37,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Training:
-    """Outcome of a training.
+    """Outcome of a training."""
 
-    Attributes:
-        progress: progress at the end.
-        stopped_by: the signal that ended it early; None if it is finished.
-        began: steps of the checkpoint that it resumed from; 0 for a new run.
-    """
-
-    progress: Progress
-    stopped_by: int | None
-    began: int
+    progress: Progress  # progress at the end
+    stopped_by: int | None  # the signal that ended it early; None if it is finished
+    began: int  # steps of the checkpoint that it resumed from; 0 for a new run
 
 
 def train(

@@ -27,24 +27,15 @@ RED, INK = "#C0281C", "#303030"
 
 @dataclass(frozen=True)
 class Shown:
-    """Elements at one instant, in the world frame.
+    """Elements at one instant, in the world frame."""
 
-    Attributes:
-        kind: their kind.
-        elements: the law's structured array.
-        origin: origin of each element's body [m], shape (n, 3).
-        turn: rotation matrix of each element's body, axes in columns, shape (n, 3, 3).
-        report: the sand's action on them.
-        colors: red, green and blue, 0 to 1, shape (n, 3).
-        names: meaning of the colors, in the order of the model; empty for depths.
-    """
-
-    kind: Kind
-    elements: np.ndarray
-    origin: np.ndarray
-    turn: np.ndarray
-    report: Report
-    colors: np.ndarray
+    kind: Kind  # their kind
+    elements: np.ndarray  # the law's structured array
+    origin: np.ndarray  # origin of each element's body [m], shape (n, 3)
+    turn: np.ndarray  # rotation matrix of each element's body, axes in columns, shape (n, 3, 3)
+    report: Report  # the sand's action on them
+    colors: np.ndarray  # red, green and blue, 0 to 1, shape (n, 3)
+    # Meaning of the colors, in the order of the model; empty for depths
     names: dict[str, np.ndarray]
 
     @classmethod

@@ -42,24 +42,16 @@ Frames = tuple[int, Iterator[np.ndarray]]
 
 @dataclass(frozen=True)
 class Film:
-    """Options of a film.
+    """Options of a film."""
 
-    Attributes:
-        camera: name of a camera of the model.
-        width: width of the picture [pixels]; even.
-        height: height of the picture [pixels]; even.
-        fps: frames per second.
-        seconds: duration of the film of the impact, from release to the stop [s]; the rest of the
-            run, if any, takes as long again.
-        hold: duration of the last frame [s].
-    """
-
-    camera: str = "side"
-    width: int = 640
-    height: int = 480
-    fps: float = 30
+    camera: str = "side"  # name of a camera of the model
+    width: int = 640  # width of the picture [pixels]; even
+    height: int = 480  # height of the picture [pixels]; even
+    fps: float = 30  # frames per second
+    # Duration of the film of the impact, from release to the stop [s]; the rest of the run, if any,
+    # takes as long again
     seconds: float = 5.0
-    hold: float = 1.0
+    hold: float = 1.0  # duration of the last frame [s]
 
     def __post_init__(self) -> None:
         for name, limit in (("width", 1920), ("height", 1080)):
@@ -83,19 +75,12 @@ class Film:
 
 @dataclass(frozen=True)
 class Motion:
-    """Data of a run of any model for a film.
+    """Data of a run of any model for a film."""
 
-    Attributes:
-        t: times [s], shape (n,).
-        qpos: shape (n, nq).
-        point: points where forces act [m], shape (n, bodies, 3).
-        force: [N], shape (n, bodies, 3).
-    """
-
-    t: np.ndarray
-    qpos: np.ndarray
-    point: np.ndarray
-    force: np.ndarray
+    t: np.ndarray  # times [s], shape (n,)
+    qpos: np.ndarray  # shape (n, nq)
+    point: np.ndarray  # points where forces act [m], shape (n, bodies, 3)
+    force: np.ndarray  # [N], shape (n, bodies, 3)
 
 
 def check_camera(model: mujoco.MjModel, camera: str) -> None:

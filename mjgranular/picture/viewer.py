@@ -28,15 +28,10 @@ _FILM = "`mjgranular drop MODEL.xml --out DIR --video` films a run without one"
 
 @dataclass
 class Switch:
-    """What the user changes while a simulation runs.
+    """What the user changes while a simulation runs."""
 
-    Attributes:
-        held: whether it is paused.
-        speed: simulated time over real time.
-    """
-
-    held: bool = False
-    speed: float = 1.0
+    held: bool = False  # whether it is paused
+    speed: float = 1.0  # simulated time over real time
 
     def press(self, key: int) -> None:
         """React to a key."""

@@ -72,19 +72,13 @@ def paint(geom: mujoco.MjsGeom, material: str) -> None:
 
 @dataclass(frozen=True)
 class SandMaterial:
-    """Appearance of a plane of sand in a model.
+    """Appearance of a plane of sand in a model."""
 
-    Attributes:
-        material: id of its material; -1 for none.
-        picture: id of the grain texture; -1 for none.
-        unit: unit of `TILES`, and edge of the texture [m]; the rectangles follow the model in these
-            steps.
-        lowered: how far the rectangles are below the surface, if ground of the model is in it [m].
-    """
-
-    material: int
-    picture: int
+    material: int  # id of its material; -1 for none
+    picture: int  # id of the grain texture; -1 for none
+    # Unit of `TILES`, and edge of the texture [m]; the rectangles follow the model in these steps
     unit: float
+    # How far the rectangles are below the surface, if ground of the model is in it [m]
     lowered: float
 
     @classmethod
