@@ -32,12 +32,9 @@ _REPLAY_ARRAYS = ("observations", "next_observations", "actions", "rewards", "do
 
 # State of the running episodes, which a checkpoint does not keep: see `callback.restart_episodes`.
 _EPISODE_STATE = (
-    "_last_obs",
-    "_last_original_obs",
-    "_last_episode_starts",
-    "ep_info_buffer",
-    "ep_success_buffer",
-)
+    "_last_obs", "_last_original_obs", "_last_episode_starts",
+    "ep_info_buffer", "ep_success_buffer",
+)  # fmt: skip
 
 
 # Whole checkpoints
@@ -54,16 +51,20 @@ class Progress:
 
 def save_checkpoint(run: Run, model: Any, progress: Progress) -> None:
     """Write a checkpoint of an algorithm of Stable-Baselines3 atomically; keep the newest two."""
+    tables = {
+        CONFIG: run.config(),
+        NORMALIZER: Normalizer.of(model.get_vec_normalize_env()).as_json(),
+        STATE: {"steps": progress.steps, "seconds": progress.seconds},
+    }
 
     def fill(folder: Path) -> None:
-        _write_json(folder / CONFIG, run.config())
         model.save(folder / POLICY, exclude=_EPISODE_STATE)
         add_spaces(folder / POLICY, model)
-        _write_json(folder / NORMALIZER, Normalizer.of(model.get_vec_normalize_env()).as_json())
         (folder / CURVE).write_text(curve_text(progress.curve), encoding="utf-8")
         if hasattr(model, "replay_buffer"):
             _write_replay(folder / REPLAY, model.replay_buffer)
-        _write_json(folder / STATE, {"steps": progress.steps, "seconds": progress.seconds})
+        for name, table in tables.items():
+            (folder / name).write_text(json.dumps(table, indent=2) + "\n", encoding="utf-8")
 
     files.write_folder(run.checkpoint_folder(progress.steps), fill)
     run.remove_old_checkpoints()
@@ -101,10 +102,6 @@ def write_policy(run: Run, checkpoint: Path) -> None:
     with files.replace_directory(run.path) as waiting:
         for name in (POLICY, NORMALIZER, CURVE):
             (waiting / name).write_bytes((checkpoint / name).read_bytes())
-
-
-def _write_json(file: Path, content: Any) -> None:
-    file.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
 
 
 # Statistics of observations and returns

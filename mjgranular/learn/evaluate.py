@@ -61,10 +61,9 @@ def run_episodes(
 def joined(parts: Sequence[Episodes]) -> Episodes:
     """Concatenate episodes, with the figures that all have."""
     names = [name for name in parts[0].figures if all(name in part.figures for part in parts)]
+    arrays = zip(*((part.seeds, part.returns, part.lengths) for part in parts), strict=True)
     return Episodes(
-        np.concatenate([part.seeds for part in parts]),
-        np.concatenate([part.returns for part in parts]),
-        np.concatenate([part.lengths for part in parts]),
+        *map(np.concatenate, arrays),
         {name: np.concatenate([part.figures[name] for part in parts]) for name in names},
     )
 
@@ -162,6 +161,7 @@ class Score:
     def as_json(self) -> dict[str, Any]:
         """Return plain values."""
         figures = {name: mean_of(values) for name, values in self.episodes.figures.items()}
+        finite = {name: vars(mean) for name, mean in figures.items() if np.isfinite(mean.mean)}
         return {
             "agent": self.agent,
             "environment": self.environment,
@@ -169,9 +169,7 @@ class Score:
             "seeds": self.episodes.seeds.tolist(),
             "return": vars(self.returned),
             "length": vars(self.length),
-            "figures": {
-                name: vars(mean) for name, mean in figures.items() if np.isfinite(mean.mean)
-            },
+            "figures": finite,
         }
 
 

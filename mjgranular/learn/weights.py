@@ -121,9 +121,9 @@ def _tensors(content: bytes) -> Any:
 
 def add_spaces(file: Path, model: Any) -> None:
     """Add the spaces of a model to its file, where Stable-Baselines3 ignores them."""
-    spaces = {name: getattr(model, name) for name in ("observation_space", "action_space")}
+    names = ("observation_space", "action_space")
+    described = {name: space_as_json(getattr(model, name)) for name in names}
     with zipfile.ZipFile(file, "a") as archive:
-        described = {name: space_as_json(space) for name, space in spaces.items()}
         archive.writestr(_SPACES, json.dumps(described))
 
 
