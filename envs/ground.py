@@ -60,13 +60,6 @@ def put_on_sand(
         tunable: whether instances can be tuned at run time.
         cut: depth at which a plane of sand without memory is rendered, to show what is buried [m].
         tile: edge length of the ground's texture [m].
-
-    Returns:
-        The model.
-
-    Raises:
-        InputError: the model has no floor and a sand has no surface; `rigid` is not a number, or
-            the sand beside it would not be level.
     """
     placed = place(spec, sands, rigid=rigid, cut=cut, tile=tile)
     names, bare = [], spec.copy()
@@ -95,8 +88,7 @@ def place(
 ) -> list[SandSpec]:
     """Prepare a model for sand in place of its floor; see `put_on_sand` for the changes.
 
-    Returns:
-        The sands with their surfaces, and with the floors that they replace.
+    Return the sands with their surfaces, and with the floors that they replace.
     """
     plane = mujoco.mjtGeom.mjGEOM_PLANE
     floors = [geom for geom in spec.worldbody.geoms if geom.type == plane]

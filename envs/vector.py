@@ -139,13 +139,11 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             raise InputError(f"a seed is a whole number, or a list of them, not {kind_of(seed)}")
         if len(seeds) != self.num_envs:
             raise InputError(f"{self.num_envs} simulations need as many seeds, not {len(seeds)}")
-        chosen = np.ones(self.num_envs, bool)
-        if mask is not None:
-            chosen = np.asarray(mask)
-            if chosen.shape != (self.num_envs,) or chosen.dtype != bool or not chosen.any():
-                raise InputError(
-                    f"reset_mask must be {self.num_envs} bools of which one is true, not {chosen}"
-                )
+        chosen = np.ones(self.num_envs, bool) if mask is None else np.asarray(mask)
+        if chosen.shape != (self.num_envs,) or chosen.dtype != bool or not chosen.any():
+            raise InputError(
+                f"reset_mask must be {self.num_envs} bools of which one is true, not {chosen}"
+            )
         for number in np.flatnonzero(chosen):
             if seeds[number] is not None:
                 self._randoms[number], self._seeds[number] = seeding.np_random(seeds[number])
@@ -279,16 +277,9 @@ class WarpVectorEnv(SandVectorEnv):
     and with the integrator `discrete` (docs/warp.md). A world whose state becomes NaN ends its
     episode, with `info["sand/lost"]`; the others continue.
 
-    Args:
-        task: a task or its name.
-        num_envs: number of simulations.
-        device: Warp device: "cuda:0", "cpu"; None for a GPU if there is one.
-        **kwargs: as for `SandVectorEnv`, options of the task among them.
-
-    Raises:
-        UnknownNameError: as for `SandVectorEnv`.
-        InputError: sand that is not supported in MuJoCo Warp, such as a medium per world.
-        MissingExtraError: MuJoCo Warp is not installed.
+    `device` is Warp's: "cuda:0", "cpu"; None for a GPU if there is one. Other arguments are as for
+    `SandVectorEnv`; sand that is not supported in MuJoCo Warp, such as a medium per world, is an
+    `InputError`.
     """
 
     def __init__(

@@ -285,7 +285,7 @@ class Go1Velocity(Task):
         """Return steps at which commands begin, and commands; shape (_COMMANDS, 4)."""
         ranges = (self.command_x, self.command_y, self.command_yaw)
         table = np.zeros((_COMMANDS, 4))
-        table[1:, 0] = np.cumsum(self._draw_steps(random, _COMMAND_TIME, _COMMANDS - 1))
+        table[1:, 0] = np.round(random.uniform(*_COMMAND_TIME, _COMMANDS - 1) / self.dt).cumsum()
         for row in table:
             row[1:] = [random.uniform(*limits) for limits in ranges]
             kind = random.uniform()
@@ -298,15 +298,10 @@ class Go1Velocity(Task):
     def _draw_pushes(self, random: np.random.Generator) -> np.ndarray:
         """Return steps of pushes, and changes of the trunk's velocity; shape (_PUSHES, 7)."""
         table = np.zeros((_PUSHES, 7))
-        table[:, 0] = np.cumsum(self._draw_steps(random, _PUSH_TIME, _PUSHES))
+        table[:, 0] = np.round(random.uniform(*_PUSH_TIME, _PUSHES) / self.dt).cumsum()
         limit = self.push_scale * _PUSH_SIZE
         table[:, 1:] = random.uniform(-limit, limit, (_PUSHES, 6))
         return table
-
-    def _draw_steps(
-        self, random: np.random.Generator, seconds: tuple[float, float], count: int
-    ) -> np.ndarray:
-        return np.round(random.uniform(*seconds, count) / self.dt)
 
     # A step.
 
@@ -398,7 +393,7 @@ class Go1Velocity(Task):
         stray = np.where(lift > 0.0, height - lift, np.maximum(height, 0.0))
         change = state.userdata[:, _ACTION] - last
         slip = np.where(height < 0.0, np.square(speed), 0.0)
-        linear = _with_xy(command[:, :2]) - velocity
+        linear = command * [1.0, 1.0, 0.0] - velocity
         yaw = turning[:, 2] - command[:, 2]
         terms = {
             "linear": self.linear_weight * _exp(-np.square(linear).sum(axis=1) / 0.25),
@@ -539,11 +534,6 @@ def _to_body(qpos: np.ndarray, vector: Any) -> tuple[Any, Any, Any]:
         b - w * q + (z * p - x * r),
         c - w * r + (x * q - y * p),
     )
-
-
-def _with_xy(xy: np.ndarray) -> np.ndarray:
-    """Append a zero to each row."""
-    return np.concatenate([xy, np.zeros((len(xy), 1))], axis=1)
 
 
 def _exp(values: np.ndarray) -> np.ndarray:

@@ -98,14 +98,8 @@ def follow(
 ) -> None:
     """Step a simulation in real time, and show it, until the viewer is closed.
 
-    If steps are slower than real time, the simulation slows down, and stays responsive.
-
-    Args:
-        viewer: a handle from `mujoco.viewer.launch_passive`.
-        model: the model.
-        data: its data.
-        switch: pauses the simulation, and sets its speed.
-        duration: simulated time after which to end [s]; None for never.
+    If steps are slower than real time, the simulation slows down, and stays responsive. The viewer
+    is a handle from `mujoco.viewer.launch_passive`; `duration` is the time after which to end [s].
     """
     opening = start = time.perf_counter()
     begin = last = data.time

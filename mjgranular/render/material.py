@@ -96,12 +96,7 @@ class SandMaterial:
         ground = _ground_at(model, normal, offset, hair)
         if any(not (model.geom_contype[geom] or model.geom_conaffinity[geom]) for geom in ground):
             return None
-        return cls(
-            material=found,
-            picture=texture_of(model, found),
-            unit=2 * radius,
-            lowered=hair if ground else 0.0,
-        )
+        return cls(found, texture_of(model, found), 2 * radius, hair if ground else 0.0)
 
     @property
     def rgba(self) -> np.ndarray:
