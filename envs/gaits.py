@@ -17,12 +17,9 @@ from mjgranular.errors import InputError, UnknownNameError
 
 @dataclass(frozen=True)
 class Gait(ABC):
-    """Actions as a function of time; a final gait is a frozen dataclass of its parameters.
+    """Actions as a function of time; a final gait is a frozen dataclass of its parameters."""
 
-    Attributes:
-        bounds: range of each parameter, (low, high), for searches.
-    """
-
+    # Range of each parameter, (low, high), for searches.
     bounds: ClassVar[dict[str, tuple[float, float]]]
 
     def __post_init__(self) -> None:
@@ -36,14 +33,7 @@ class Gait(ABC):
 
 @dataclass(frozen=True)
 class TravellingWave(Gait):
-    """A sine wave of joint angles, from head to tail.
-
-    Attributes:
-        amplitude: amplitude of the actions.
-        frequency: frequency [Hz].
-        waves: number of waves along the body; negative ones run from the tail to the head.
-        offset: added to all actions: a constant bend.
-    """
+    """A sine wave of joint angles, from head to tail."""
 
     bounds: ClassVar[dict[str, tuple[float, float]]] = {
         "amplitude": (0.2, 1.0),
@@ -51,10 +41,11 @@ class TravellingWave(Gait):
         "waves": (0.5, 2.0),
     }
 
-    amplitude: float = 0.9
-    frequency: float = 1.0
+    amplitude: float = 0.9  # amplitude of the actions
+    frequency: float = 1.0  # frequency [Hz]
+    # Number of waves along the body; negative ones run from the tail to the head
     waves: float = 1.0
-    offset: float = 0.0
+    offset: float = 0.0  # added to all actions: a constant bend
 
     def action(self, time: float, size: int) -> np.ndarray:
         along = np.arange(1, size + 1) / (size + 1)
@@ -81,15 +72,7 @@ class CrawlingWave(TravellingWave):
 
 @dataclass(frozen=True)
 class Tripod(Gait):
-    """Tripod gait: front and rear leg of a side step with the middle leg of the other side.
-
-    Attributes:
-        stride: amplitude of the hips' actions.
-        lift: height of the knees' actions while a leg steps.
-        press: downward amplitude of the knees' actions while a leg stands.
-        frequency: step frequency of a leg [Hz].
-        duty: share of the cycle for which a leg stands.
-    """
+    """Tripod gait: front and rear leg of a side step with the middle leg of the other side."""
 
     bounds: ClassVar[dict[str, tuple[float, float]]] = {
         "stride": (0.2, 1.0),
@@ -99,11 +82,11 @@ class Tripod(Gait):
         "duty": (0.4, 0.7),
     }
 
-    stride: float = 0.8
-    lift: float = 0.7
-    press: float = 0.2
-    frequency: float = 1.5
-    duty: float = 0.5
+    stride: float = 0.8  # amplitude of the hips' actions
+    lift: float = 0.7  # height of the knees' actions while a leg steps
+    press: float = 0.2  # downward amplitude of the knees' actions while a leg stands
+    frequency: float = 1.5  # step frequency of a leg [Hz]
+    duty: float = 0.5  # share of the cycle for which a leg stands
 
     def action(self, time: float, size: int) -> np.ndarray:
         action = np.zeros(size)

@@ -6,8 +6,7 @@ import gymnasium as gym
 
 from mjgranular._util.checks import kind_of
 from mjgranular.envs.chains import ChainCrawl, ChainSwim
-from mjgranular.envs.gym_planar import HalfCheetah, Hopper, Swimmer, Walker2d
-from mjgranular.envs.gym_spatial import Ant, Humanoid
+from mjgranular.envs.gym_robots import Ant, HalfCheetah, Hopper, Humanoid, Swimmer, Walker2d
 from mjgranular.envs.hexapod import Hexapod
 from mjgranular.envs.link_drop import LinkDrop
 from mjgranular.envs.task import Task

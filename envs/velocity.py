@@ -216,7 +216,9 @@ class Go1Velocity(Task):
     @cached_property
     def _stance(self) -> np.ndarray:
         """Joint angles of the stance [rad], shape (12,)."""
-        return np.array([_stance_of(joint) for joint in JOINTS])
+        stance = np.array([_STANCE[joint.split("_")[1]] for joint in JOINTS])
+        stance[[3, 9]] *= -1  # hips on the left
+        return stance
 
     @cached_property
     def _angles(self) -> np.ndarray:
@@ -493,11 +495,6 @@ def _check_robot(spec: mujoco.MjSpec, path: Path) -> None:
     calves = [f"{leg}_calf" for leg in LEGS]
     if any(spec.body(name) is None for name in calves):
         raise InputError(f"{path} must have the bodies {', '.join(calves)}")
-
-
-def _stance_of(joint: str) -> float:
-    leg, part, _ = joint.split("_")
-    return -_STANCE[part] if part == "hip" and leg[1] == "L" else _STANCE[part]
 
 
 def _foot_name(leg: str) -> str:

@@ -40,11 +40,6 @@ class Hexapod:
     armature = 2e-3  # inertia of a servo's rotor, at the joint [kg m^2]
 
     @property
-    def mass(self) -> float:
-        """Mass of the robot [kg]."""
-        return self.torso_mass + 6 * (self.leg_mass + _FOOT_MASS)
-
-    @property
     def standing(self) -> float:
         """Height of the torso's center when the feet are at z = 0, all angles zero [m]."""
         return self.lower + self.foot

@@ -115,23 +115,12 @@ class Link:
         return 0.0, -self.length / 2
 
     def touching(self, q: float) -> np.ndarray:
-        """Return `qpos` with T on the surface at the origin, shape (3,).
-
-        Args:
-            q: angle from the vertical [rad].
-        """
+        """Return `qpos` with T on the surface at the origin; q is from the vertical [rad]."""
         x, z = offset(self.lowest(q), q)
         return np.array([-x, -z, q])
 
     def moving(self, q: float, speed: float, tangential: float, omega: float) -> np.ndarray:
-        """Return `qvel` for given velocities of T, shape (3,).
-
-        Args:
-            q: angle from the vertical [rad].
-            speed: v_Ty, speed of T downward [m/s].
-            tangential: v_Tx, speed of T along x [m/s].
-            omega: dq/dt [rad/s].
-        """
+        """Return `qvel` for speeds of T, downward and along x [m/s], and omega = dq/dt [rad/s]."""
         x, z = offset(self.lowest(q), q)
         # A rotation by dq moves T by dq (-z, x) relative to C.
         return np.array([tangential + omega * z, -speed - omega * x, omega])
@@ -144,10 +133,7 @@ class Link:
     ) -> tuple[float, float, float, float]:
         """Return position and velocity of T: (x_T, y_T, v_Tx, v_Ty), y down [m], [m/s].
 
-        Args:
-            qpos: shape (3,).
-            qvel: shape (3,).
-            point: T in the body's frame, from `lowest` at release; None for the lower pole.
+        The point is T in the body's frame, from `lowest` at release; None for the lower pole.
         """
         x, z, q = qpos
         vx, vz, omega = qvel

@@ -4,16 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal
 
 import mujoco
 import numpy as np
 
-from mjgranular._util.checks import is_finite
-from mjgranular.errors import InputError
 from mjgranular.models.link import DARK, Link, add_servo, robot_scene
-
-Posture = Literal["level", "upright"]
 
 
 @dataclass(frozen=True)
@@ -35,39 +31,19 @@ class Worm:
     speed` times the joint's speed: the straight line from stall torque to no-load speed of a DC
     motor. All values are chosen, not measured; with those of a level worm one of a sandfish's size
     can swim, and they are larger than those of real servos of that size.
-
-    Raises:
-        InputError: a value outside its range.
     """
 
     count: int = 7  # number of links
     length: float = 0.12  # length of the body [m]
     width: float = 0.016  # width of the body [m]
     density: float = 1100.0  # density of the body [kg/m^3]
-    posture: Posture = "level"  # "level" or "upright"
+    posture: Literal["level", "upright"] = "level"
     depth: float = 0.048  # depth of the axis of a level worm [m]
     bend: float = 1.0  # largest commanded servo angle in both directions [rad]
     stiffness: float = 5.0  # gain of a servo [N m/rad]
     torque: float = 1.0  # stall torque of a servo [N m]
     speed: float = 8.0  # no-load speed of a servo [rad/s]
     armature: float = 1e-4  # inertia of a servo's rotor, at the joint [kg m^2]
-
-    def __post_init__(self) -> None:
-        if not isinstance(self.count, int) or isinstance(self.count, bool) or self.count < 1:
-            raise InputError(f"a worm has one link or more, not {self.count!r}")
-        if self.posture not in get_args(Posture):
-            raise InputError(
-                f"the worm's posture must be one of {', '.join(get_args(Posture))}, "
-                f"not {self.posture!r}"
-            )
-        for name in ("length", "width", "density", "bend", "stiffness", "torque", "speed"):
-            value = getattr(self, name)
-            if not (is_finite(value) and value > 0):
-                raise InputError(f"the worm's {name} must be positive, not {value}")
-        if not (is_finite(self.depth) and is_finite(self.armature) and self.armature >= 0):
-            raise InputError(
-                "the worm's depth and armature must be finite, the latter not negative"
-            )
 
     @property
     def step(self) -> float:
@@ -85,11 +61,6 @@ class Worm:
         first = 3  # after the slides and q0; in front of the root the tree goes to the head
         behind = first + self.root
         return (*reversed(range(first, behind)), *range(behind, self.count + 2))
-
-    @property
-    def mass(self) -> float:
-        """Mass of the body [kg]."""
-        return self.count * self._link_mass
 
     def spec(self, timestep: float) -> mujoco.MjSpec:
         """Return an editable model, with a floor at z = 0, at a time step [s]."""

@@ -27,6 +27,7 @@ from mjgranular.learn.run import (
 from mjgranular.learn.settings import Settings
 from mjgranular.learn.weights import add_spaces, check_spaces, read_weights
 
+_KEPT = 2  # checkpoints; the older one in case the newer is damaged
 _NUMBERS = ("count", "clip", "epsilon", "return_mean", "return_variance", "return_count")
 _REPLAY_ARRAYS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 
@@ -67,7 +68,8 @@ def save_checkpoint(run: Run, model: Any, progress: Progress) -> None:
             (folder / name).write_text(json.dumps(table, indent=2) + "\n", encoding="utf-8")
 
     files.write_folder(run.checkpoint_folder(progress.steps), fill)
-    run.remove_old_checkpoints()
+    for old in run.checkpoints()[_KEPT:]:
+        files.remove_folder(old)
 
 
 def load_checkpoint(

@@ -42,7 +42,6 @@ PACKAGES = ("gymnasium", "stable-baselines3", "torch")
 """Packages that a training depends on; their versions are recorded."""
 _LARGEST_SEED = 2**31 - 1
 _IN_A_CHECKPOINT = (CONFIG, POLICY, NORMALIZER, CURVE, STATE)
-_KEPT = 2  # checkpoints; the older one in case the newer is damaged
 
 
 @dataclass(frozen=True)
@@ -102,11 +101,6 @@ class Run:
     def checkpoint_folder(self, steps: int) -> Path:
         """Return the path of the checkpoint after `steps` steps."""
         return self.path / CHECKPOINTS / f"step-{steps:010d}"
-
-    def remove_old_checkpoints(self) -> None:
-        """Keep the newest two checkpoints."""
-        for folder in self.checkpoints()[_KEPT:]:
-            files.remove_folder(folder)
 
     def extended(self, total_steps: int) -> Run:
         """Return the run with another number of steps, and write that to its folder."""
