@@ -58,16 +58,13 @@ class CrawlingWave(TravellingWave):
     """A sine wave in the vertical plane; nearly one wave from head to tail moves it forward."""
 
     bounds: ClassVar[dict[str, tuple[float, float]]] = {
-        "amplitude": (0.2, 1.0),
-        "frequency": (0.5, 6.0),
+        **TravellingWave.bounds,
         "waves": (-2.0, 2.0),
         "offset": (-0.4, 0.4),
     }
 
     amplitude: float = 0.6
-    frequency: float = 1.0
     waves: float = 2 / 3
-    offset: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -418,11 +418,10 @@ class Ant(_Spatial):
 
     def felt(self, state: State) -> np.ndarray:
         """Return clipped forces on the bodies, shape (n, 6 nbody)."""
-        return self.once(state, "felt", self._felt)
-
-    def _felt(self, state: State) -> np.ndarray:
-        forces = np.clip(state.cfrc_ext, *self.contact_force_range)
-        return forces.reshape(len(forces), -1)
+        limits, size = self.contact_force_range, len(state.qpos)
+        return self.once(
+            state, "felt", lambda state: np.clip(state.cfrc_ext, *limits).reshape(size, -1)
+        )
 
     def observe(self, state: State) -> np.ndarray:
         parts = [self.seen(state.qpos), state.qvel]

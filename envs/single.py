@@ -89,11 +89,7 @@ class SandEnv(gym.Env[np.ndarray, np.ndarray]):
         self._episodes += 1
         start = task.begin(random, sample)
         mujoco.mj_resetData(model, data)
-        if sample is not None:
-            task.lay(sample, self._state, 0, data.plugin_state, model.opt.gravity)
-        data.qpos[:], data.qvel[:] = start.qpos, start.qvel
-        if start.userdata is not None:
-            data.userdata[:] = start.userdata
+        task.lay(sample, start, self._state, 0, data.plugin_state, model.opt.gravity)
         mujoco.mj_forward(model, data)
         self._state.found.clear()
         if self.render_mode == "human":

@@ -299,18 +299,26 @@ class Task(SandSpec, ABC):
         return draw(ranges, self.choices, random, span=self.dunes.wavelength)
 
     def lay(
-        self, sample: Sample, state: State, row: int, plugin_state: np.ndarray, gravity: np.ndarray
+        self,
+        sample: Sample | None,
+        start: Start,
+        state: State,
+        row: int,
+        plugin_state: np.ndarray,
+        gravity: np.ndarray,
     ) -> None:
-        """Apply the sampled sand to the simulation with index `row` in a state.
+        """Apply a start and the sampled sand to the simulation with index `row` in a state.
 
         Its plugin state and its gravity are written to.
         """
-        strength = float(np.linalg.norm(self.gravity))
-        lay(sample, self.model, self.figures.sands, plugin_state, gravity, strength)
-        state.active[row] = sample.number
-        state.strength[row] = sample.strength
-        state.density[row] = sample.density
-        state.slope[row] = sample.slope
+        state.qpos[row], state.qvel[row] = start.qpos, start.qvel
+        if start.userdata is not None:
+            state.userdata[row] = start.userdata
+        if sample is not None:
+            strength = float(np.linalg.norm(self.gravity))
+            lay(sample, self.model, self.figures.sands, plugin_state, gravity, strength)
+            state.active[row], state.slope[row] = sample.number, sample.slope
+            state.strength[row], state.density[row] = sample.strength, sample.density
 
     def begin(self, random: np.random.Generator, sample: Sample | None) -> Start:
         """Return the start of an episode on the sampled sand; None for a fixed sand."""

@@ -250,11 +250,8 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._over[ids] = False
         self.batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE.value)
         for number, sample, start in zip(ids, samples, starts, strict=True):
-            if sample is not None:
-                task.lay(sample, state, number, self._plugin_state[number], self._gravity[number])
-            state.qpos[number], state.qvel[number] = start.qpos, start.qvel
-            if start.userdata is not None:
-                state.userdata[number] = start.userdata
+            plugin_state, gravity = self._plugin_state[number], self._gravity[number]
+            task.lay(sample, start, state, number, plugin_state, gravity)
         self.batch.forward(ids)
         state.found.clear()
 

@@ -107,11 +107,7 @@ class LiRobot:
         return self.spec(timestep).compile()
 
     def start(self, frequency: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return `qpos`, `qvel` and `ctrl` with the belly on z = 0 and the legs turning.
-
-        Args:
-            frequency: turns of the legs per second [Hz].
-        """
+        """Return `qpos`, `qvel`, `ctrl`: belly on z = 0, legs turning at a frequency [Hz]."""
         rate = 2 * math.pi * frequency
         # One tripod moves backward as the other moves forward: none starts in the sand.
         sides = [(1 if x == 0 else -1) * side for _, x, side in self._legs()]

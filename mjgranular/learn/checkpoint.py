@@ -132,18 +132,12 @@ class Normalizer:
     @classmethod
     def of(cls, env: Any) -> Normalizer:
         """Return the statistics of a `VecNormalize`."""
-        seen, returns = env.obs_rms if env.norm_obs else None, env.ret_rms
-        return cls(
-            observations=env.norm_obs,
-            mean=seen.mean if seen else np.array([]),
-            variance=seen.var if seen else np.array([]),
-            count=float(seen.count) if seen else 0.0,
-            clip=float(env.clip_obs),
-            epsilon=float(env.epsilon),
-            return_mean=float(returns.mean),
-            return_variance=float(returns.var),
-            return_count=float(returns.count),
-        )
+        none, returns = np.array([]), env.ret_rms
+        mean, variance, count = none, none, 0.0
+        if env.norm_obs:
+            mean, variance, count = env.obs_rms.mean, env.obs_rms.var, env.obs_rms.count
+        numbers = (count, env.clip_obs, env.epsilon, returns.mean, returns.var, returns.count)
+        return cls(env.norm_obs, mean, variance, *map(float, numbers))
 
     def restore(self, env: Any) -> None:
         """Put the statistics into a `VecNormalize`."""

@@ -6,6 +6,7 @@ import inspect
 import tomllib
 import typing
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
@@ -219,10 +220,8 @@ def algorithm_class(name: str) -> Any:
 def linear_start(value: object) -> float | None:
     """Return the start of a value that falls to zero: 3e-4 of "linear_3e-4"; None for others."""
     if isinstance(value, str) and value.startswith(_LINEAR):
-        try:
+        with suppress(ValueError):
             return float(value.removeprefix(_LINEAR))
-        except ValueError:
-            return None
     return None
 
 

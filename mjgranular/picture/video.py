@@ -214,7 +214,7 @@ def _render(
                     add_arrow(renderer.scene, tail, tip, _WIDTH * view.radius)
                 shown, picture = now, renderer.render()
             total = float(np.linalg.norm(motion.force[k].sum(axis=0)))
-            pace = "real time" if slower < 1.05 else f"slowed down {_two_digits(slower)}x"
+            pace = "real time" if slower < 1.05 else f"slowed down {float(f'{slower:.2g}'):g}x"
             clock = f"{time * 1e3:.2f} ms" if times[-1][0] < _SHORT else f"{time:.3f} s"
             text = f"t = {clock}\nforce of the sand = {total:.0f} N\n{pace}"
             yield _captioned(picture, text, font)
@@ -237,10 +237,6 @@ def _captioned(picture: np.ndarray, text: str, font: Any) -> np.ndarray:
         align="right",
     )
     return np.asarray(image)
-
-
-def _two_digits(value: float) -> str:
-    return f"{float(f'{value:.2g}'):g}"
 
 
 def need_mediapy(purpose: str) -> Any:
