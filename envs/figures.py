@@ -46,13 +46,9 @@ class Figures:
         valid depending on it, on depth over that width and on the slope; the grains' inertia is not
         checked.
 
-        Args:
-            readings: `sensordata`, shape (n, nsensordata).
-            active: index of the active sand, shape (n,); sensors of others read zero.
-            slope: slope of the ground in addition to that of its surface [rad], shape (n,).
-
-        Returns:
-            The entries of `info` that docs/environments.md has in a table.
+        Of `sensordata` of shape (n, nsensordata), the index of the active sand, and the slope of
+        the ground in addition to that of its surface [rad], each of shape (n,), return the entries
+        of `info` that docs/environments.md has in a table. Sensors of other sands read zero.
         """
         first, *others = self._blocks
         block = readings[:, first : first + 6].copy()  # not a view of MuJoCo's array
