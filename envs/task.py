@@ -207,8 +207,10 @@ class Task(SandSpec, ABC):
     @cached_property
     def _built(self) -> tuple[mujoco.MjModel, Figures, np.ndarray]:
         """The model and data read from it before its gravity is tilted."""
-        drawn, look = self.randomise is not None, {"cut": self.cut, "tile": self.tile}
-        model = put_on_sand(self.scene(), self.sands, rigid=self.rigid, tunable=drawn, **look)
+        spec, drawn = self.scene(), self.randomise is not None
+        model = put_on_sand(
+            spec, self.sands, rigid=self.rigid, tunable=drawn, cut=self.cut, tile=self.tile
+        )
         return model, Figures(model, self.sands), np.array(model.opt.gravity)
 
     def scene(self) -> mujoco.MjSpec:

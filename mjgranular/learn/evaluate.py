@@ -61,9 +61,10 @@ def run_episodes(
 def joined(parts: Sequence[Episodes]) -> Episodes:
     """Concatenate episodes, with the figures that all have."""
     names = [name for name in parts[0].figures if all(name in part.figures for part in parts)]
-    arrays = zip(*((part.seeds, part.returns, part.lengths) for part in parts), strict=True)
     return Episodes(
-        *map(np.concatenate, arrays),
+        np.concatenate([part.seeds for part in parts]),
+        np.concatenate([part.returns for part in parts]),
+        np.concatenate([part.lengths for part in parts]),
         {name: np.concatenate([part.figures[name] for part in parts]) for name in names},
     )
 
