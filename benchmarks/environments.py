@@ -27,7 +27,7 @@ from stable_baselines3.common.env_util import make_vec_env as make_dummy
 
 import mjgranular.envs
 from mjgranular import InputError
-from mjgranular.envs.gym_planar import Robot
+from mjgranular.envs.gym_robots import Robot
 from mjgranular.envs.ids import id_of
 from mjgranular.envs.sb3 import make_vec_env
 

@@ -15,7 +15,6 @@ from mjgranular.envs import _gymnasium as _gymnasium
 # isort: split
 
 from mjgranular.envs.ids import register
-from mjgranular.envs.on_warp import WarpVectorEnv as WarpVectorEnv
 from mjgranular.envs.ranges import SandRanges as SandRanges
 from mjgranular.envs.robots import on_sand as on_sand
 from mjgranular.envs.single import SandEnv as SandEnv
@@ -24,5 +23,6 @@ from mjgranular.envs.task import State as State
 from mjgranular.envs.task import Task as Task
 from mjgranular.envs.tasks import tasks as tasks
 from mjgranular.envs.vector import SandVectorEnv as SandVectorEnv
+from mjgranular.envs.vector import WarpVectorEnv as WarpVectorEnv
 
 register()

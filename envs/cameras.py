@@ -38,6 +38,9 @@ class Cameras:
             hint = "without a name the one that follows the robot is taken"
             raise UnknownNameError("camera", camera_name, known, hint)
         self.mode, self.width, self.height, self.camera_name = mode, width, height, camera_name
+        self.settings = {
+            "render_mode": mode, "width": width, "height": height, "camera_name": camera_name,
+        }  # fmt: skip
         self._task, self._renderer, self._viewer = task, None, None
         self._surfaces = [choice.surface for choice in task.choices]
 
@@ -55,7 +58,7 @@ class Cameras:
             with drawing():
                 self._renderer = mujoco.Renderer(self._task.model, self.height, self.width)
         self._task.model.geom_rgba[:] = model.geom_rgba
-        self._renderer.update_scene(data, self._camera(data))
+        self._renderer.update_scene(data, self.camera_name or _free(self._task.camera))
         return self._renderer.render()
 
     def close(self) -> None:
@@ -78,44 +81,32 @@ class Cameras:
                 elif model.geom(geom).name == DUNES:
                     model.geom_rgba[geom, 3] = float(dunes)
 
-    def _camera(self, data: mujoco.MjData) -> Any:
-        if self.camera_name is not None:
-            return self.camera_name
-        camera = mujoco.MjvCamera()
-        _set(camera, self._task.camera)
-        return camera
-
     def _show(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        if self._viewer is None and not _has_screen():  # GLFW would end the process
-            raise RenderError(
-                "render_mode='human' needs a screen and there is none here: "
-                "use render_mode='rgb_array'"
-            )
         if self._viewer is None:
+            if not _has_screen():  # GLFW would end the process
+                raise RenderError(
+                    "render_mode='human' needs a screen and there is none here: "
+                    "use render_mode='rgb_array'"
+                )
             from gymnasium.envs.mujoco.mujoco_rendering import MujocoRenderer
 
-            self._viewer = MujocoRenderer(
-                model,
-                data,
-                self._task.camera,
-                self.width,
-                self.height,
-                camera_name=self.camera_name,
-            )
+            look = self._task.camera, self.width, self.height
+            self._viewer = MujocoRenderer(model, data, *look, camera_name=self.camera_name)
         with drawing():
             self._viewer.render("human")
 
 
-def _set(camera: mujoco.MjvCamera, settings: dict[str, Any]) -> None:
-    """Set a camera as Gymnasium does: `lookat`, and numbers by name."""
-    body = settings.get("trackbodyid")
-    if body is not None:
-        camera.type, camera.trackbodyid = mujoco.mjtCamera.mjCAMERA_TRACKING, body
+def _free(settings: dict[str, Any]) -> mujoco.MjvCamera:
+    """Return a camera as Gymnasium sets it: `lookat`, and numbers by name."""
+    camera = mujoco.MjvCamera()
+    if "trackbodyid" in settings:
+        camera.type = mujoco.mjtCamera.mjCAMERA_TRACKING
     for name, value in settings.items():
         if name == "lookat":
             camera.lookat[:] = value
-        elif name != "trackbodyid":
+        else:
             setattr(camera, name, value)
+    return camera
 
 
 def _has_screen() -> bool:

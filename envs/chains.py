@@ -22,6 +22,9 @@ class _Chain(Task):
     """Base of the worms: servos at the joints, reward for forward motion in body lengths."""
 
     reads: ClassVar[tuple[str, ...]] = ("subtree_com",)
+    episode: ClassVar[int] = 500
+    build: ClassVar[dict[str, Any]] = {}
+    """Sizes and servos of the worm, where they are not the default."""
 
     links: int = 7
     forward_reward_weight: float = 1.0
@@ -37,7 +40,10 @@ class _Chain(Task):
     @cached_property
     def worm(self) -> Worm:
         """The body."""
-        raise NotImplementedError
+        return Worm(self.links, **self.build)
+
+    def robot(self) -> mujoco.MjSpec:
+        return self.worm.spec(0.005)
 
     def act(self, action: np.ndarray, state: State) -> np.ndarray:
         return self.worm.bend * np.clip(action, -1.0, 1.0)
@@ -122,7 +128,6 @@ class ChainSwim(_Chain):
     """
 
     title: ClassVar[str] = "a buried chain swims by waves from head to tail"
-    episode: ClassVar[int] = 500
     cut: ClassVar[float] = 0.056  # the worm lies on the cut
     tile: ClassVar[float] = 0.1
     dunes: ClassVar[Dunes] = Dunes(wavelength=1.0, extent=5.0)
@@ -131,13 +136,6 @@ class ChainSwim(_Chain):
     }  # fmt: skip
 
     resolution: int | None = 3
-
-    @cached_property
-    def worm(self) -> Worm:
-        return Worm(self.links)
-
-    def robot(self) -> mujoco.MjSpec:
-        return self.worm.spec(0.005)
 
     def start(self, random: np.random.Generator, height: Callable[[float, float], float]) -> Start:
         return self._bent(random)
@@ -197,8 +195,11 @@ class ChainCrawl(_Chain):
 
     reads: ClassVar[tuple[str, ...]] = ("subtree_com", "ctrl")
     title: ClassVar[str] = "a chain crawls on sand and in its surface"
-    episode: ClassVar[int] = 500
     dunes: ClassVar[Dunes] = Dunes(wavelength=2.0, extent=20.0)
+    build: ClassVar[dict[str, Any]] = {
+        "length": 0.6, "width": 0.04, "posture": "upright",
+        "stiffness": 20.0, "torque": 4.0, "speed": 5.0, "armature": 1e-3,
+    }  # fmt: skip
     camera: ClassVar[dict[str, Any]] = {
         "trackbodyid": 1, "distance": 1.4, "azimuth": 90.0, "elevation": -12.0,
     }  # fmt: skip
@@ -206,22 +207,6 @@ class ChainCrawl(_Chain):
     medium: str | Path | Medium = "poppy_seed_loose"
     rate_cost_weight: float = 0.02
     reset_noise_scale: float = 0.05
-
-    @cached_property
-    def worm(self) -> Worm:
-        return Worm(
-            self.links,
-            length=0.6,
-            width=0.04,
-            posture="upright",
-            stiffness=20.0,
-            torque=4.0,
-            speed=5.0,
-            armature=1e-3,
-        )
-
-    def robot(self) -> mujoco.MjSpec:
-        return self.worm.spec(0.005)
 
     def start(self, random: np.random.Generator, height: Callable[[float, float], float]) -> Start:
         start = self._bent(random)

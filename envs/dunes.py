@@ -21,16 +21,11 @@ class Dunes:
 
     They are as high as their steepest slope allows; the laws are valid to ten degrees
     (`docs/laws`).
-
-    Attributes:
-        wavelength: wavelength of the longest [m].
-        extent: half size of the dunes along x and y [m].
-        steepest: steepest slope [rad]; chosen.
     """
 
-    wavelength: float = 4.0
-    extent: float = 40.0
-    steepest: float = math.radians(9)
+    wavelength: float = 4.0  # wavelength of the longest [m]
+    extent: float = 40.0  # half size of the dunes along x and y [m]
+    steepest: float = math.radians(9)  # steepest slope [rad]; chosen
 
     @property
     def _amplitude(self) -> float:

@@ -10,8 +10,7 @@ import numpy as np
 
 from mjgranular.engine.instances import sands_in
 from mjgranular.engine.readings import SandReadings
-from mjgranular.envs.ground import DEPTH, FORCE, POWER, SPEED
-from mjgranular.law.validity import Measure, found_at
+from mjgranular.law.validity import found_at
 from mjgranular.sand import SandSpec
 from mjgranular.sand.chosen import geoms_in_sand
 from mjgranular.sand.material import material_of
@@ -28,16 +27,14 @@ class Figures:
         readings: SandReadings | None = None,
     ) -> None:
         self.sands = names = sands_in(model)
-        # The sensors of a sand are contiguous: force, depth, power, speed.
-        self._blocks = readings.together if readings else _blocks_of_sensors(model, names)
+        # Where the readings of each sand begin: force, depth, power, speed.
+        sensors = [int(model.sensor(f"sand/force/{name}").adr[0]) for name in names if not readings]
+        self._blocks = readings.together if readings else sensors
         gravity = float(np.linalg.norm(model.opt.gravity))
-        limits = [_Limits(model, sand) for sand in sands]
-        width = np.array([limit.width for limit in limits])
+        limits = [_limits_of(model, sand) for sand in sands]
+        width, self._froude, self._depth, self._slope = np.array([some for some, _ in limits]).T
         self._per_speed = 1 / np.sqrt(gravity * width)  # Froude number of 1 m/s
-        self._froude = np.array([limit.most("froude") for limit in limits])
-        self._depth = np.array([limit.most("depth_over_width") for limit in limits]) * width
-        self._slope = np.array([limit.most("slope") - limit.tilt for limit in limits])
-        self._found = [limit.found() for limit in limits]
+        self._found = [found for _, found in limits]
 
     def read(
         self, readings: np.ndarray, active: np.ndarray | int = 0, slope: np.ndarray | float = 0.0
@@ -49,17 +46,9 @@ class Figures:
         valid depending on it, on depth over that width and on the slope; the grains' inertia is not
         checked.
 
-        Args:
-            readings: `sensordata`, shape (n, nsensordata).
-            active: index of the active sand, shape (n,); sensors of others read zero.
-            slope: slope of the ground in addition to that of its surface [rad], shape (n,).
-
-        Returns:
-            `sand/force`: force of the sand on the robot [N], world axes, shape (n, 3);
-            `sand/depth`: depth of its deepest point [m], negative above the sand; `sand/power`:
-            power of the sand on it [W]; `sand/froude`; `sand/valid`: whether the law is valid;
-            `sand/error`: relative error of the law in comparisons with measured motion as fast as
-            this, at most 1; 1 where nothing as fast was compared, 0 above the sand.
+        Of `sensordata` of shape (n, nsensordata), the index of the active sand, and the slope of
+        the ground in addition to that of its surface [rad], each of shape (n,), return the entries
+        of `info` that docs/environments.md has in a table. Sensors of other sands read zero.
         """
         first, *others = self._blocks
         block = readings[:, first : first + 6].copy()  # not a view of MuJoCo's array
@@ -91,39 +80,24 @@ class Figures:
         return error
 
 
-class _Limits:
-    """Validity limits of a sand's law in a model."""
+def _limits_of(
+    model: mujoco.MjModel, sand: SandSpec
+) -> tuple[list[float], tuple[np.ndarray, np.ndarray]]:
+    """Return limits of a sand's law in a model, and the law's errors.
 
-    def __init__(self, model: mujoco.MjModel, sand: SandSpec) -> None:
-        geoms = geoms_in_sand(model, sand)
-        medium, law = material_of(model, sand)
-        elements = law.elements(model, geoms, sand.resolution)
-        self._limits = law.validity
-        self.width = float(elements["width"].min())
-        grain = medium.grain and medium.grain.value
-        self._grains = None if grain is None else self.width / grain
-        self._findings = law.findings
-        self.tilt = surface_of(sand.surface).tilt(model)
-
-    def found(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return upper Froude numbers of errors, and the errors, with one more, 1, beyond."""
-        bounds = sorted({finding.froude for finding in self._findings})
-        found = [found_at(self._findings, bound, self._grains) for bound in bounds]
-        errors = [1.0 if one is None else min(one.error, 1.0) for one in found]
-        return np.array(bounds), np.array([*errors, 1.0])
-
-    def most(self, measure: Measure) -> float:
-        return min((v.most for v in self._limits if v.measure == measure), default=math.inf)
-
-
-def _blocks_of_sensors(model: mujoco.MjModel, names: Sequence[str]) -> list[int]:
-    """Return the index of each sand's first reading in `sensordata`."""
-    blocks = [_address(model, f"{FORCE}/{name}") for name in names]
-    for name, begin in zip(names, blocks, strict=True):
-        for offset, measure in ((3, DEPTH), (4, POWER), (5, SPEED)):
-            assert _address(model, f"{measure}/{name}") == begin + offset
-    return blocks
-
-
-def _address(model: mujoco.MjModel, name: str) -> int:
-    return int(model.sensor(name).adr[0])
+    The first are the smallest width of an element [m], and the largest Froude number, depth [m] and
+    slope [rad]; the second upper Froude numbers, and errors, with one more, 1, beyond.
+    """
+    medium, law = material_of(model, sand)
+    elements = law.elements(model, geoms_in_sand(model, sand), sand.resolution)
+    width = float(elements["width"].min())
+    froude, depth, slope = (
+        min((v.most for v in law.validity if v.measure == measure), default=math.inf)
+        for measure in ("froude", "depth_over_width", "slope")
+    )
+    limits = [width, froude, depth * width, slope - surface_of(sand.surface).tilt(model)]
+    grains = medium.grain and width / medium.grain.value
+    bounds = sorted({finding.froude for finding in law.findings})
+    found = [found_at(law.findings, bound, grains) for bound in bounds]
+    errors = [1.0 if one is None else min(one.error, 1.0) for one in found]
+    return limits, (np.array(bounds), np.array([*errors, 1.0]))

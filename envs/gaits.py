@@ -4,25 +4,22 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import Any, ClassVar
 
 import numpy as np
 
 from mjgranular._util.checks import kind_of
-from mjgranular.envs.options import check_number
-from mjgranular.envs.task import Task
+from mjgranular.envs.task import Task, check_number
 from mjgranular.errors import InputError, UnknownNameError
 
 
 @dataclass(frozen=True)
 class Gait(ABC):
-    """Actions as a function of time; a final gait is a frozen dataclass of its parameters.
+    """Actions as a function of time; a final gait is a frozen dataclass of its parameters."""
 
-    Attributes:
-        bounds: range of each parameter, (low, high), for searches.
-    """
-
+    # Range of each parameter, (low, high), for searches.
     bounds: ClassVar[dict[str, tuple[float, float]]]
 
     def __post_init__(self) -> None:
@@ -36,14 +33,7 @@ class Gait(ABC):
 
 @dataclass(frozen=True)
 class TravellingWave(Gait):
-    """A sine wave of joint angles, from head to tail.
-
-    Attributes:
-        amplitude: amplitude of the actions.
-        frequency: frequency [Hz].
-        waves: number of waves along the body; negative ones run from the tail to the head.
-        offset: added to all actions: a constant bend.
-    """
+    """A sine wave of joint angles, from head to tail."""
 
     bounds: ClassVar[dict[str, tuple[float, float]]] = {
         "amplitude": (0.2, 1.0),
@@ -51,10 +41,11 @@ class TravellingWave(Gait):
         "waves": (0.5, 2.0),
     }
 
-    amplitude: float = 0.9
-    frequency: float = 1.0
+    amplitude: float = 0.9  # amplitude of the actions
+    frequency: float = 1.0  # frequency [Hz]
+    # Number of waves along the body; negative ones run from the tail to the head
     waves: float = 1.0
-    offset: float = 0.0
+    offset: float = 0.0  # added to all actions: a constant bend
 
     def action(self, time: float, size: int) -> np.ndarray:
         along = np.arange(1, size + 1) / (size + 1)
@@ -67,29 +58,18 @@ class CrawlingWave(TravellingWave):
     """A sine wave in the vertical plane; nearly one wave from head to tail moves it forward."""
 
     bounds: ClassVar[dict[str, tuple[float, float]]] = {
-        "amplitude": (0.2, 1.0),
-        "frequency": (0.5, 6.0),
+        **TravellingWave.bounds,
         "waves": (-2.0, 2.0),
         "offset": (-0.4, 0.4),
     }
 
     amplitude: float = 0.6
-    frequency: float = 1.0
     waves: float = 2 / 3
-    offset: float = 0.0
 
 
 @dataclass(frozen=True)
 class Tripod(Gait):
-    """Tripod gait: front and rear leg of a side step with the middle leg of the other side.
-
-    Attributes:
-        stride: amplitude of the hips' actions.
-        lift: height of the knees' actions while a leg steps.
-        press: downward amplitude of the knees' actions while a leg stands.
-        frequency: step frequency of a leg [Hz].
-        duty: share of the cycle for which a leg stands.
-    """
+    """Tripod gait: front and rear leg of a side step with the middle leg of the other side."""
 
     bounds: ClassVar[dict[str, tuple[float, float]]] = {
         "stride": (0.2, 1.0),
@@ -99,11 +79,11 @@ class Tripod(Gait):
         "duty": (0.4, 0.7),
     }
 
-    stride: float = 0.8
-    lift: float = 0.7
-    press: float = 0.2
-    frequency: float = 1.5
-    duty: float = 0.5
+    stride: float = 0.8  # amplitude of the hips' actions
+    lift: float = 0.7  # height of the knees' actions while a leg steps
+    press: float = 0.2  # downward amplitude of the knees' actions while a leg stands
+    frequency: float = 1.5  # step frequency of a leg [Hz]
+    duty: float = 0.5  # share of the cycle for which a leg stands
 
     def action(self, time: float, size: int) -> np.ndarray:
         action = np.zeros(size)
@@ -144,19 +124,8 @@ gaits: dict[str, type[Gait]] = {
 """Gaits by the names of their tasks."""
 
 
-class Script:
-    """A gait for a task, as a function from time to actions."""
-
-    def __init__(self, gait: Gait, size: int) -> None:
-        self.gait, self._size = gait, size
-
-    def __call__(self, time: float) -> np.ndarray:
-        """Return the action at a time [s]."""
-        return self.gait.action(time, self._size).astype(np.float32)
-
-
-def gait(task: Task, **parameters: Any) -> Script:
-    """Return the scripted gait of a task.
+def gait(task: Task, **parameters: Any) -> Callable[[float], np.ndarray]:
+    """Return the scripted gait of a task: a function from time [s] to actions.
 
     Args:
         task: the task, as `env.unwrapped.task`.
@@ -179,4 +148,5 @@ def gait(task: Task, **parameters: Any) -> Script:
     for given in parameters:
         if given not in known:
             raise InputError(f"the gait of {name} has no {given!r}; it has: {', '.join(known)}")
-    return Script(cls(**parameters), int(np.prod(task.action_space.shape)))
+    made, size = cls(**parameters), int(np.prod(task.action_space.shape))
+    return lambda time: made.action(time, size).astype(np.float32)

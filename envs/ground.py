@@ -23,9 +23,6 @@ from mjgranular.sand.spec import combined
 from mjgranular.shape.select import names_in
 from mjgranular.surface.choice import surface_of
 
-FORCE, DEPTH, POWER, SPEED = "sand/force", "sand/depth", "sand/power", "sand/speed"
-"""Sensors of all bodies together; the name of a sand instance follows after "/"."""
-
 RIGID = "mjgranular rigid ground"
 """Name of a geom that carries the robot on purpose, beside the sand."""
 _BESIDE = "mjgranular sand"
@@ -63,13 +60,6 @@ def put_on_sand(
         tunable: whether instances can be tuned at run time.
         cut: depth at which a plane of sand without memory is rendered, to show what is buried [m].
         tile: edge length of the ground's texture [m].
-
-    Returns:
-        The model.
-
-    Raises:
-        InputError: the model has no floor and a sand has no surface; `rigid` is not a number, or
-            the sand beside it would not be level.
     """
     placed = place(spec, sands, rigid=rigid, cut=cut, tile=tile)
     names, bare = [], spec.copy()
@@ -98,12 +88,13 @@ def place(
 ) -> list[SandSpec]:
     """Prepare a model for sand in place of its floor; see `put_on_sand` for the changes.
 
-    Returns:
-        The sands with their surfaces, and with the floors that they replace.
+    Return the sands with their surfaces, and with the floors that they replace.
     """
-    floors = [geom for geom in spec.worldbody.geoms if _is_floor(geom)]
+    plane = mujoco.mjtGeom.mjGEOM_PLANE
+    floors = [geom for geom in spec.worldbody.geoms if geom.type == plane]
     _give_names(floors, "mjgranular_floor", spec.geoms)
-    bare = _keep_extent(spec)
+    bare = _without_dunes(spec)
+    spec.stat.extent, spec.stat.center = bare.stat.extent, bare.stat.center  # near and far planes
     if spec.option.integrator == mujoco.mjtIntegrator.mjINT_RK4:
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.density = spec.option.viscosity = 0.0
@@ -154,16 +145,13 @@ def quiet() -> Iterator[None]:
         yield
 
 
-def _keep_extent(spec: mujoco.MjSpec) -> mujoco.MjModel:
-    """Keep the near and far clipping planes of a model without dunes; return that model."""
+def _without_dunes(spec: mujoco.MjSpec) -> mujoco.MjModel:
     bare = spec.copy()
     for geom in bare.worldbody.geoms:
         if geom.type == mujoco.mjtGeom.mjGEOM_HFIELD:
             bare.delete(geom)
     with quiet():
-        model = bare.compile()
-    spec.stat.extent, spec.stat.center = model.stat.extent, model.stat.center
-    return model
+        return bare.compile()
 
 
 def _let_meet(spec: mujoco.MjSpec) -> None:
@@ -184,10 +172,6 @@ def _give_names(elements: Sequence[Any], stem: str, same_kind: Sequence[Any]) ->
         element.name = element.name or name
 
 
-def _is_floor(geom: mujoco.MjsGeom) -> bool:
-    return geom.type == mujoco.mjtGeom.mjGEOM_PLANE
-
-
 def _add_rigid_ground(
     spec: mujoco.MjSpec, floor: mujoco.MjsGeom, height: float, end: float
 ) -> None:
@@ -198,10 +182,9 @@ def _add_rigid_ground(
             f"rigid must be where the rigid floor ends, within {_REACH:g} m, or inf, not "
             f"{shown(end)}"
         )
-    sand, rigid = (
-        spec.worldbody.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_BOX, size=[_REACH] * 3)
-        for name in (_BESIDE, RIGID)
-    )
+    box, cube = mujoco.mjtGeom.mjGEOM_BOX, [_REACH] * 3
+    sand = spec.worldbody.add_geom(name=_BESIDE, type=box, size=cube)
+    rigid = spec.worldbody.add_geom(name=RIGID, type=box, size=cube)
     sand.contype = sand.conaffinity = 0
     rigid.material, rigid.rgba = "", [0.45, 0.47, 0.5, 1]
     for name in _CONTACT:
@@ -240,12 +223,11 @@ def _paint(
             if geom is not None:
                 geom.material = material
                 geom.rgba = [1, 1, 1, 1]
-    planes = [surface for surface in surfaces if isinstance(surface, Plane)]
+    plane = next((surface for surface in surfaces if isinstance(surface, Plane)), None)
     for floor in floors:
-        if not planes:
+        if plane is None:
             floor.group = NOT_SHOWN
             continue
-        plane = planes[0]
         floor.material = material
         floor.rgba = [1, 1, 1, 1]
         floor.set_frame(spec.worldbody.add_frame())  # its own may be moved or turned
@@ -257,18 +239,15 @@ def _paint(
 
 
 def _add_sensors(spec: mujoco.MjSpec, names: Sequence[str]) -> None:
+    """Add sensors of all bodies together, those of a sand after each other (`envs.figures`)."""
     spec.activate_plugin(SENSOR)
     for instance in names:
-        for measure, name in (
-            ("force", FORCE),
-            ("depth", DEPTH),
-            ("power", POWER),
-            ("speed", SPEED),
-        ):
+        for measure in ("force", "depth", "power", "speed"):
             plugin = spec.add_plugin(
                 name=f"{measure} of {instance}", plugin_name=SENSOR, active=True
             )
             plugin.config = {"measure": measure, "sand": instance}
-            sensor = spec.add_sensor(name=f"{name}/{instance}", type=mujoco.mjtSensor.mjSENS_PLUGIN)
+            name = f"sand/{measure}/{instance}"
+            sensor = spec.add_sensor(name=name, type=mujoco.mjtSensor.mjSENS_PLUGIN)
             sensor.plugin.active = True
             sensor.plugin.plugin_name, sensor.plugin.name = SENSOR, plugin.name

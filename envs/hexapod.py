@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -74,15 +73,8 @@ class Hexapod(Task):
     resolution: int | None = 2
     frame_skip: int = 8
 
-    @cached_property
-    def body(self) -> models.Hexapod:
-        """The robot."""
-        return models.Hexapod()
-
-    @cached_property
-    def _reach(self) -> np.ndarray:
-        """Angles for actions of 1 [rad]."""
-        return np.array([self.body.swing, self.body.lift] * 6)
+    body: ClassVar[models.Hexapod] = models.Hexapod()
+    """The robot."""
 
     def robot(self) -> mujoco.MjSpec:
         return self.body.spec(0.005)
@@ -102,7 +94,7 @@ class Hexapod(Task):
         return Start(qpos, qvel)
 
     def act(self, action: np.ndarray, state: State) -> np.ndarray:
-        return self._reach * np.clip(action, -1.0, 1.0)
+        return np.array([self.body.swing, self.body.lift] * 6) * np.clip(action, -1.0, 1.0)
 
     def observe(self, state: State) -> np.ndarray:
         return np.concatenate([state.qpos[:, 2:], state.qvel], axis=1)

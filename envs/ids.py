@@ -6,8 +6,7 @@ import gymnasium as gym
 
 from mjgranular._util.checks import kind_of
 from mjgranular.envs.chains import ChainCrawl, ChainSwim
-from mjgranular.envs.gym_planar import HalfCheetah, Hopper, Swimmer, Walker2d
-from mjgranular.envs.gym_spatial import Ant, Humanoid
+from mjgranular.envs.gym_robots import Ant, HalfCheetah, Hopper, Humanoid, Swimmer, Walker2d
 from mjgranular.envs.hexapod import Hexapod
 from mjgranular.envs.link_drop import LinkDrop
 from mjgranular.envs.task import Task
@@ -19,19 +18,10 @@ NAMESPACE = "mjgranular"
 VERSION = 0
 
 _OURS: tuple[type[Task], ...] = (
-    ChainSwim,
-    ChainCrawl,
-    Hexapod,
-    LinkDrop,
-    Hopper,
-    Walker2d,
-    HalfCheetah,
-    Ant,
-    Humanoid,
-    Swimmer,
-    Go1Velocity,
-    Go2Velocity,
-)
+    ChainSwim, ChainCrawl, Hexapod, LinkDrop,
+    Hopper, Walker2d, HalfCheetah, Ant, Humanoid, Swimmer,
+    Go1Velocity, Go2Velocity,
+)  # fmt: skip
 
 
 def id_of(name: str) -> str:
@@ -47,13 +37,7 @@ def name_of(identity: str) -> str:
 def register_task(task: type[Task]) -> str:
     """Register a task by the name of its class, for `gymnasium.make` and the command line.
 
-    A class that is defined again, as in a cell of a notebook, replaces the old one.
-
-    Args:
-        task: a final task.
-
-    Returns:
-        Its id.
+    A class that is defined again, as in a cell of a notebook, replaces the old one. Return the id.
 
     Raises:
         InputError: it is not a final task, or another task has that name.

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
-from gymnasium.envs.registration import EnvSpec
+from gymnasium.envs.registration import EnvSpec, load_env_creator
 
 from mjgranular._util.user_modules import import_own
 from mjgranular.errors import InputError, UnknownNameError
@@ -43,6 +43,11 @@ def find_spec(env_id: Any) -> EnvSpec:
         near = difflib.get_close_matches(name, others, n=5, cutoff=0.5)
         hint = f"importing {module} has registered no {name}" if colon else _how(name)
         raise UnknownNameError("environment", env_id, [*near, *ours], hint) from None
+
+
+def creator_of(entry_point: Any) -> Any:
+    """Return the class of an environment, or the function that makes it."""
+    return load_env_creator(entry_point) if isinstance(entry_point, str) else entry_point
 
 
 _of_modules: dict[str, set[str]] = {}  # ids that an import of a module registered

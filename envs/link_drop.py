@@ -64,6 +64,7 @@ class LinkDrop(Task):
     episode: ClassVar[int] = 1
     tile: ClassVar[float] = 0.2
     dunes: ClassVar[Dunes] = Dunes(wavelength=4.0, extent=10.0)
+    link: ClassVar[Link] = Link()
     camera: ClassVar[dict[str, Any]] = {
         "trackbodyid": 1, "distance": 0.5, "azimuth": 90.0, "elevation": -12.0,
     }  # fmt: skip
@@ -85,11 +86,6 @@ class LinkDrop(Task):
                 )
         if self.rigid is not None:
             raise InputError("LinkDrop drops a link into sand: leave rigid out")
-
-    @cached_property
-    def link(self) -> Link:
-        """The link."""
-        return Link()
 
     @cached_property
     def action_space(self) -> Box:

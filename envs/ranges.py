@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from numbers import Real
 from typing import Any
 
@@ -27,6 +27,7 @@ STEEPEST = math.radians(34)
 medium sand (Agarwal, Goldman, Kamrin, PNAS 120 (2023), tangent of internal friction)."""
 
 _DRAWN = ("strength", "density", "slope")
+_NAMED = {"media": ("medium", media), "laws": ("law", laws), "surfaces": ("surface", SURFACES)}
 _STRONGEST = 100.0  # factor; chosen: far beyond any sand
 
 
@@ -57,7 +58,7 @@ class SandRanges:
 
     def __post_init__(self) -> None:
         for name in _DRAWN:
-            self._check_range(name)
+            object.__setattr__(self, name, _finite_range(name, getattr(self, name)))
         if not self.strength[0] > 0:
             raise InputError(f"SandRanges: strength must be positive, not {self.strength[0]}")
         if self.density[0] < 0:
@@ -73,11 +74,7 @@ class SandRanges:
                 f"SandRanges: slope must be within {STEEPEST:.3f} rad (34 degrees, the angle of "
                 f"repose) either way, not {self.slope}"
             )
-        for name, kind, known in (
-            ("media", "medium", media),
-            ("laws", "law", laws),
-            ("surfaces", "surface", SURFACES),
-        ):
+        for name, (kind, known) in _NAMED.items():
             names = getattr(self, name)
             if isinstance(names, str) or not isinstance(names, Sequence):
                 raise InputError(f"SandRanges: {name} must be a tuple of names, not {names!r}")
@@ -88,41 +85,35 @@ class SandRanges:
 
     @classmethod
     def of(cls, table: Mapping[str, Any]) -> SandRanges:
-        """Return ranges from a table by the names of the fields, as in TOML or YAML.
-
-        Raises:
-            UnknownNameError: a name is not that of a field; lists the fields.
-            InputError: as for the ranges themselves.
-        """
+        """Return ranges from a table by the names of the fields, as in TOML or YAML."""
         known = [field.name for field in fields(cls)]
         for name in table:
             if name not in known:
                 raise UnknownNameError("range of randomise", name, known)
         return cls(**table)
 
-    def _check_range(self, name: str) -> None:
-        given: Any = getattr(self, name)
-        try:
-            low, high = (float(value) for value in given)
-        except (TypeError, ValueError):
-            raise InputError(f"SandRanges: {name} must be (low, high), not {given!r}") from None
-        if not (math.isfinite(low) and math.isfinite(high)):
-            raise InputError(f"SandRanges: {name} must be finite, not {given}")
-        if low > high:
-            raise InputError(f"SandRanges: {name} has its low end above its high end: {given}")
-        object.__setattr__(self, name, (low, high))
-
     def check_within(self, other: SandRanges, origin: str) -> None:
         """Check that a curriculum or a reset names only sand that the model has."""
-        for field in fields(self):
-            if field.name in ("media", "laws", "surfaces"):
-                wanted, there = getattr(self, field.name), getattr(other, field.name)
-                for name in wanted:
-                    if name not in there:
-                        raise InputError(
-                            f"{field.name} of {origin} have {name!r}, which randomise does "
-                            f"not: it has {', '.join(there) or 'none'}"
-                        )
+        for key in _NAMED:
+            there = getattr(other, key)
+            for name in getattr(self, key):
+                if name not in there:
+                    raise InputError(
+                        f"{key} of {origin} have {name!r}, which randomise does not: it has "
+                        f"{', '.join(there) or 'none'}"
+                    )
+
+
+def _finite_range(name: str, given: Any) -> tuple[float, float]:
+    try:
+        low, high = (float(value) for value in given)
+    except (TypeError, ValueError):
+        raise InputError(f"SandRanges: {name} must be (low, high), not {given!r}") from None
+    if not (math.isfinite(low) and math.isfinite(high)):
+        raise InputError(f"SandRanges: {name} must be finite, not {given}")
+    if low > high:
+        raise InputError(f"SandRanges: {name} has its low end above its high end: {given}")
+    return low, high
 
 
 def ranges_of(ranges: Any, curriculum: Any) -> SandRanges | None:
@@ -157,21 +148,13 @@ class Choice:
 
 @dataclass(frozen=True)
 class Sample:
-    """The sand of one episode.
+    """The sand of one episode."""
 
-    Attributes:
-        number: index of the active sand in the model.
-        strength: factor on static resistance.
-        density: factor on rate-dependent resistance.
-        slope: slope of the ground [rad].
-        place: x at which the robot starts [m]; 0 without dunes.
-    """
-
-    number: int = 0
-    strength: float = 1.0
-    density: float = 1.0
-    slope: float = 0.0
-    place: float = 0.0
+    number: int = 0  # index of the active sand in the model
+    strength: float = 1.0  # factor on static resistance
+    density: float = 1.0  # factor on rate-dependent resistance
+    slope: float = 0.0  # slope of the ground [rad]
+    place: float = 0.0  # x at which the robot starts [m]; 0 without dunes
 
 
 def draw(
@@ -212,15 +195,9 @@ def lay(
     `sands` are the names of the instances of sand in the model; `strength` is the magnitude of
     gravity [m/s^2].
     """
+    factors = {"strength": sample.strength, "density": sample.density}
     for number, name in enumerate(sands):
-        tune(
-            model,
-            plugin_state,
-            name,
-            active=float(number == sample.number),
-            strength=sample.strength,
-            density=sample.density,
-        )
+        tune(model, plugin_state, name, active=float(number == sample.number), **factors)
     gravity[:] = -strength * math.sin(sample.slope), 0.0, -strength * math.cos(sample.slope)
 
 
@@ -264,12 +241,11 @@ def ranges_of_reset(ranges: SandRanges | None, options: Mapping[str, Any]) -> Sa
             f"reset: {', '.join(options)} can be set if the environment is made with "
             "randomise={...}, for example randomise={}"
         )
-    known = {name: getattr(ranges, name) for name in names}
     given = {
         name: (value, value) if isinstance(value, Real) else value
         for name, value in options.items()
     }
-    wanted = SandRanges.of({**known, **given})
+    wanted = replace(ranges, **given)
     wanted.check_within(ranges, "reset")
     return wanted
 

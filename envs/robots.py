@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import gymnasium as gym
 import mujoco
 import numpy as np
 from gymnasium.envs.mujoco import MujocoEnv
-from gymnasium.envs.registration import EnvSpec, load_env_creator
+from gymnasium.envs.registration import EnvSpec
 
 from mjgranular._util.checks import check_count
 from mjgranular.engine import rne_post_constraint
@@ -19,7 +19,7 @@ from mjgranular.engine.instances import sands_in
 from mjgranular.engine.readings import SandReadings
 from mjgranular.envs.figures import Figures
 from mjgranular.envs.ground import converted_errors, put_on_sand, quiet
-from mjgranular.envs.known import find_spec
+from mjgranular.envs.known import creator_of, find_spec
 from mjgranular.envs.ranges import (
     Sample,
     SandRanges,
@@ -89,11 +89,8 @@ def on_sand(
     fields: Any = {name: options.pop(name) for name in SAND_FIELDS if name in options}
     if sand is ROBOT_SAND and isinstance(fields.get("law"), (str, type)):
         fields.setdefault("medium", None)  # it follows from the law
-    described = {
-        **vars(combined(sand, fields)),
-        "randomise": randomise,
-        "curriculum": curriculum,
-    }
+    drawn = {"randomise": randomise, "curriculum": curriculum}
+    described = {**vars(combined(sand, fields)), **drawn}
     ours = EnvSpec(
         id=spec.id.replace("-v", "OnSand-v") if spec.version is not None else f"{spec.id}OnSand",
         entry_point="mjgranular.envs.robots:make_robot",
@@ -105,17 +102,11 @@ def on_sand(
 
 
 def make_robot(environment: str | type, sand: dict[str, Any], **options: Any) -> gym.Env:
-    """Make the environment without wrappers; see `on_sand`."""
-    return sandy(environment)(sand, **options)
-
-
-def sandy(environment: str | type) -> type[OnSand]:
-    """Return the class of an environment with sand in place of its floor.
+    """Make the environment without wrappers; see `on_sand`.
 
     The environment is a class, or `module:Class`, which worker processes can import.
     """
-    base: Any = load_env_creator(environment) if isinstance(environment, str) else environment
-    return _sandy(base, environment)
+    return _sandy(creator_of(environment), environment)(sand, **options)
 
 
 @cache  # by class: a module that is imported again has another class of the same name
@@ -153,7 +144,7 @@ class OnSand(MujocoEnv):
 
     def __reduce__(self) -> tuple[Any, ...]:
         sand, options = self._made_of
-        return _again, (self.environment, sand, options)
+        return partial(make_robot, **options), (self.environment, sand)
 
     def _initialize_simulation(self) -> tuple[mujoco.MjModel, mujoco.MjData]:
         with quiet():
@@ -179,14 +170,8 @@ class OnSand(MujocoEnv):
         if self._ranges is not None:
             ranges = next_ranges(self._ranges, self._curriculum, self._episodes)
             self._drawn = draw(ranges, self._choices, self.np_random)
-            lay(
-                self._drawn,
-                self.model,
-                self._figures.sands,
-                self.data.plugin_state,
-                self.model.opt.gravity,
-                self._strength,
-            )
+            state, gravity = self.data.plugin_state, self.model.opt.gravity
+            lay(self._drawn, self.model, self._figures.sands, state, gravity, self._strength)
         self._episodes += 1
         return super().reset_model()
 
@@ -208,10 +193,6 @@ class OnSand(MujocoEnv):
         return first_of(read)
 
 
-def _again(environment: str | type, sand: dict[str, Any], options: dict[str, Any]) -> gym.Env:
-    return sandy(environment)(sand, **options)
-
-
 def _find(environment: Any) -> EnvSpec:
     """Return the specification of an environment whose class supports sand."""
     if isinstance(environment, gym.Env):
@@ -228,7 +209,7 @@ def _find(environment: Any) -> EnvSpec:
             if error.kind != "environment":  # but for a module
                 raise
             raise UnknownNameError("environment", environment, _robots(), error.hint) from None
-    base = _creator(spec)
+    base = creator_of(spec.entry_point)
     if not (isinstance(base, type) and issubclass(base, MujocoEnv)):
         raise InputError(
             f"{spec.id} is no MuJoCo environment of Gymnasium's kind: on_sand takes classes that "
@@ -240,18 +221,12 @@ def _find(environment: Any) -> EnvSpec:
 
 def _check_options(spec: EnvSpec, options: dict[str, Any]) -> None:
     """Check that all options are known."""
-    own = inspect.signature(_creator(spec)).parameters
+    own = inspect.signature(creator_of(spec.entry_point)).parameters
     taken = {*SAND_FIELDS, *own, *inspect.signature(gym.make).parameters, *_OF_MUJOCO}
     for name in options:
         if name not in taken:
             known = [*SAND_FIELDS, *(one for one in own if one not in ("args", "kwargs"))]
             raise UnknownArgumentError(f"on_sand({spec.id})", name, known)
-
-
-def _creator(spec: EnvSpec) -> Any:
-    """Return the class of an environment, or the function that makes it."""
-    made: Any = spec.entry_point
-    return load_env_creator(made) if isinstance(made, str) else made
 
 
 def _robots() -> list[str]:

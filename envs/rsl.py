@@ -25,12 +25,8 @@ class RslVecEnv(VecEnv):
     Observations are a `TensorDict` with one group, `"policy"`, in single precision. Finished
     episodes restart at once; those that were truncated are in `extras["time_outs"]`.
 
-    Args:
-        env: environment made with `autoreset_mode="SameStep"` and `max_episode_steps`.
-        device: PyTorch device of the tensors; None for the CPU.
-
-    Raises:
-        InputError: the environment has another autoreset mode, or no limit of episode length.
+    The environment must be made with `autoreset_mode="SameStep"` and `max_episode_steps`. `device`
+    is the PyTorch device of the tensors; None for the CPU.
     """
 
     def __init__(self, env: SandVectorEnv, device: str | torch.device | None = None) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import gymnasium as gym
@@ -27,13 +27,9 @@ class SandVecEnv(VecEnv):
     The last observation is in `info["terminal_observation"]`, and `info["TimeLimit.truncated"]` is
     True if the episode was only truncated.
 
-    Args:
-        batch: batch made with `autoreset_mode="SameStep"`.
-        full_info: return the complete `info` of every simulation at each step; otherwise, which is
-            faster, only of those whose episodes are over.
-
-    Raises:
-        InputError: the batch has another autoreset mode.
+    The batch must be made with `autoreset_mode="SameStep"`. `full_info` returns the complete `info`
+    of every simulation at each step; otherwise, which is faster, only of those whose episodes are
+    over.
     """
 
     def __init__(self, batch: SandVectorEnv, *, full_info: bool = False) -> None:
@@ -48,11 +44,7 @@ class SandVecEnv(VecEnv):
         super().__init__(batch.num_envs, batch.single_observation_space, batch.single_action_space)
 
     def reset(self) -> np.ndarray:
-        """Begin all episodes, with the seeds of the last `seed` and the last `set_options`.
-
-        Raises:
-            InputError: `set_options` has set other options for some simulations than for others.
-        """
+        """Begin all episodes, with the seeds of the last `seed` and the last `set_options`."""
         options = self._options[0]
         if any(each != options for each in self._options):
             raise InputError("the simulations of a batch share set_options: give one dictionary")
@@ -211,11 +203,8 @@ def make_vec_env(
 def _split(info: dict[str, Any], mask: np.ndarray) -> list[dict[str, Any]]:
     """Return the `info` of each simulation of the mask, empty ones of the others."""
     infos: list[dict[str, Any]] = [{} for _ in mask]
-    entries: Iterable[tuple[str, Any]] = [
-        (name, value) for name, value in info.items() if f"_{name}" in info
-    ]
-    for name, value in entries:
-        has = info[f"_{name}"]
-        for number in np.flatnonzero(mask & has):
-            infos[number][name] = value[number]
+    for name, value in info.items():
+        if f"_{name}" in info:
+            for number in np.flatnonzero(mask & info[f"_{name}"]):
+                infos[number][name] = value[number]
     return infos

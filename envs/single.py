@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import gymnasium as gym
@@ -56,12 +57,8 @@ class SandEnv(gym.Env[np.ndarray, np.ndarray]):
         self._episodes = 0
 
     def __reduce__(self) -> tuple[Any, ...]:
-        cameras = self.cameras
-        return _again, (
-            type(self.task),
-            self.task.options(),
-            (self.render_mode, cameras.width, cameras.height, cameras.camera_name),
-        )
+        # The task is an argument, so that a copy has another model.
+        return partial(SandEnv, **self.cameras.settings), (self.task,)
 
     @property
     def dt(self) -> float:
@@ -92,11 +89,7 @@ class SandEnv(gym.Env[np.ndarray, np.ndarray]):
         self._episodes += 1
         start = task.begin(random, sample)
         mujoco.mj_resetData(model, data)
-        if sample is not None:
-            task.lay(sample, self._state, 0, data.plugin_state, model.opt.gravity)
-        data.qpos[:], data.qvel[:] = start.qpos, start.qvel
-        if start.userdata is not None:
-            data.userdata[:] = start.userdata
+        task.lay(sample, start, self._state, 0, data.plugin_state, model.opt.gravity)
         mujoco.mj_forward(model, data)
         self._state.found.clear()
         if self.render_mode == "human":
@@ -141,10 +134,3 @@ def first_of(info: dict[str, np.ndarray]) -> dict[str, Any]:
     return {
         name: value.item() if value.ndim == 1 else value[0].copy() for name, value in info.items()
     }
-
-
-def _again(task: type[Task], options: dict[str, Any], rendering: tuple[Any, ...]) -> SandEnv:
-    mode, width, height, camera_name = rendering
-    return SandEnv(
-        task(**options), render_mode=mode, width=width, height=height, camera_name=camera_name
-    )

@@ -14,7 +14,8 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from functools import cached_property
+from functools import cached_property, partial
+from numbers import Real
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, ClassVar
@@ -23,12 +24,11 @@ import mujoco
 import numpy as np
 from gymnasium.spaces import Box
 
-from mjgranular import HeightField, InputError, Medium, Plane, SandSpec, Surface
-from mjgranular._util.checks import check_count
+from mjgranular import HeightField, InputError, Medium, Plane, SandSpec
+from mjgranular._util.checks import check_count, check_switch
 from mjgranular.envs.dunes import DUNES, Dunes, add_dunes
 from mjgranular.envs.figures import Figures
 from mjgranular.envs.ground import put_on_sand
-from mjgranular.envs.options import check_option
 from mjgranular.envs.ranges import (
     Choice,
     Sample,
@@ -42,6 +42,7 @@ from mjgranular.envs.ranges import (
     sands_of,
     told,
 )
+from mjgranular.errors import shown
 from mjgranular.sand.spec import SAND_FIELDS
 from mjgranular.surface.choice import surface_of
 
@@ -206,16 +207,11 @@ class Task(SandSpec, ABC):
     @cached_property
     def _built(self) -> tuple[mujoco.MjModel, Figures, np.ndarray]:
         """The model and data read from it before its gravity is tilted."""
-        spec, sands = self.scene(), self.sands
+        spec, drawn = self.scene(), self.randomise is not None
         model = put_on_sand(
-            spec,
-            sands,
-            rigid=self.rigid,
-            tunable=self.randomise is not None,
-            cut=self.cut,
-            tile=self.tile,
+            spec, self.sands, rigid=self.rigid, tunable=drawn, cut=self.cut, tile=self.tile
         )
-        return model, Figures(model, sands), np.array(model.opt.gravity)
+        return model, Figures(model, self.sands), np.array(model.opt.gravity)
 
     def scene(self) -> mujoco.MjSpec:
         """Return the robot, with dunes if sampled, before sand replaces the floor."""
@@ -253,15 +249,7 @@ class Task(SandSpec, ABC):
 
     @staticmethod
     def once(state: State, name: str, find: Callable[[State], Any]) -> Any:
-        """Return a quantity that follows from a state, computed once.
-
-        The environment clears it as soon as a simulation moves.
-
-        Args:
-            state: the state.
-            name: name of the quantity.
-            find: computes it.
-        """
+        """Return a quantity that follows from a state; `find` is called once for each state."""
         if name not in state.found:
             state.found[name] = find(state)
         return state.found[name]
@@ -302,15 +290,9 @@ class Task(SandSpec, ABC):
     def sample(
         self, random: np.random.Generator, episode: int, ranges: SandRanges | None
     ) -> Sample | None:
-        """Sample the sand of an episode; return None for a fixed sand.
+        """Sample the sand of an episode of that number; return None for a fixed sand.
 
-        Args:
-            random: random generator of the simulation.
-            episode: number of episodes that it has begun.
-            ranges: what to sample from; the curriculum acts on `randomise` alone.
-
-        Raises:
-            InputError: the curriculum returns ranges beyond those that the model was made for.
+        The curriculum acts on `randomise` alone: `InputError` if it leaves these ranges.
         """
         if ranges is None:
             return None
@@ -319,48 +301,48 @@ class Task(SandSpec, ABC):
         return draw(ranges, self.choices, random, span=self.dunes.wavelength)
 
     def lay(
-        self, sample: Sample, state: State, row: int, plugin_state: np.ndarray, gravity: np.ndarray
+        self,
+        sample: Sample | None,
+        start: Start,
+        state: State,
+        row: int,
+        plugin_state: np.ndarray,
+        gravity: np.ndarray,
     ) -> None:
-        """Apply the sampled sand to a simulation.
+        """Apply a start and the sampled sand to the simulation with index `row` in a state.
 
-        Args:
-            sample: the sampled sand.
-            state: state of all simulations.
-            row: index of the simulation.
-            plugin_state: plugin state of that simulation; written to.
-            gravity: gravity of that simulation; written to.
+        Its plugin state and its gravity are written to.
         """
-        strength = float(np.linalg.norm(self.gravity))
-        lay(sample, self.model, self.figures.sands, plugin_state, gravity, strength)
-        state.active[row] = sample.number
-        state.strength[row] = sample.strength
-        state.density[row] = sample.density
-        state.slope[row] = sample.slope
+        state.qpos[row], state.qvel[row] = start.qpos, start.qvel
+        if start.userdata is not None:
+            state.userdata[row] = start.userdata
+        if sample is not None:
+            strength = float(np.linalg.norm(self.gravity))
+            lay(sample, self.model, self.figures.sands, plugin_state, gravity, strength)
+            state.active[row], state.slope[row] = sample.number, sample.slope
+            state.strength[row], state.density[row] = sample.strength, sample.density
 
     def begin(self, random: np.random.Generator, sample: Sample | None) -> Start:
-        """Return the start of an episode on the sampled sand.
-
-        Args:
-            random: random generator of the simulation.
-            sample: the sampled sand; None for a fixed sand.
-        """
-        ground = self.ground(0 if sample is None else sample.number) or _level
-        place = 0.0 if sample is None else sample.place
+        """Return the start of an episode on the sampled sand; None for a fixed sand."""
+        number, place = (0, 0.0) if sample is None else (sample.number, sample.place)
+        ground = self.ground(number) or (lambda x, y: 0.0)
         start = self.start(random, lambda x, y: ground(x + place, y))
         start.qpos[0] += place  # x comes first in all our models
         return start
 
     def ground(self, number: int) -> Callable[[float, float], float] | None:
-        """Return the height of a sand's surface over the floor, at x, y [m].
+        """Return the height over the floor at x, y of the surface of the sand of that index [m].
 
         None is zero everywhere, or unknown, as for the model's own geom.
-
-        Args:
-            number: index of the sand in the model.
         """
         if self.choices[number].surface == "dunes":
             return self.dunes.height
-        return _height_of(surface_of(self.surface))
+        surface = surface_of(self.surface)
+        if not isinstance(surface, Plane) or (surface.height == 0.0 and surface.slope == 0.0):
+            return None
+        rise = math.tan(surface.slope)
+        along, across = rise * math.cos(surface.uphill), rise * math.sin(surface.uphill)
+        return lambda x, y: surface.height + along * x + across * y
 
     def observation(self, state: State) -> np.ndarray:
         """Return observations, shape (n, k), with the sampled sand if `observe_sand` is set."""
@@ -375,29 +357,17 @@ class Task(SandSpec, ABC):
     def reset_info(self, state: State) -> dict[str, np.ndarray]:
         """Return `info` after a reset, by name, each of shape (n, ...)."""
         info = self.place(state)
-        if self.randomise is None:
-            info.update(self.figures.read(state.sensordata))
-        else:
-            info.update(self.figures.read(state.sensordata, state.active, state.slope))
+        info |= self.figures.read(state.sensordata, state.active, state.slope)
+        if self.randomise is not None:
             info |= told(self.choices, state.active, state.strength, state.density, state.slope)
         return info
 
     def options(self) -> dict[str, Any]:
-        """Return the task's fields by name, to make another one from."""
+        """Return the task's fields by name."""
         return {item.name: getattr(self, item.name) for item in fields(self)}
 
-
-def _level(x: float, y: float) -> float:
-    return 0.0
-
-
-def _height_of(surface: Surface) -> Callable[[float, float], float] | None:
-    """Return the height of a surface over the floor, at x, y; None if zero or unknown."""
-    if not isinstance(surface, Plane) or (surface.height == 0.0 and surface.slope == 0.0):
-        return None
-    rise = math.tan(surface.slope)
-    along, across = rise * math.cos(surface.uphill), rise * math.sin(surface.uphill)
-    return lambda x, y: surface.height + along * x + across * y
+    def __reduce__(self) -> tuple[Any, ...]:
+        return partial(type(self), **self.options()), ()  # its model is built again
 
 
 def check_actions(actions: Any, shape: tuple[int, ...] | None) -> np.ndarray:
@@ -411,3 +381,31 @@ def check_actions(actions: Any, shape: tuple[int, ...] | None) -> np.ndarray:
     if not math.isfinite(array.sum()) and not np.isfinite(array).all():
         raise InputError(f"an action must be finite, not {array}")
     return array
+
+
+def check_number(name: str, value: Any) -> None:
+    """Check that a value is a finite number."""
+    if not isinstance(value, Real) or isinstance(value, bool) or not math.isfinite(value):
+        raise InputError(f"{name} must be a finite number, not {shown(value)}")
+
+
+def check_option(name: str, value: Any, default: Any) -> None:
+    """Check that a value has the type of the default: a boolean, a number, a range."""
+    if isinstance(default, bool):
+        check_switch(name, value)
+    elif isinstance(default, (int, float)):
+        check_number(name, value)
+        if name.endswith("_scale") and value < 0:
+            raise InputError(f"{name} must not be negative, not {shown(value)}")
+    elif _is_range(default):
+        if not _is_range(value):
+            raise InputError(f"{name} must be a range, (low, high), not {shown(value)}")
+        if value[0] > value[1]:
+            raise InputError(f"{name} must be a range with its low end first, not {shown(value)}")
+
+
+def _is_range(value: Any) -> bool:
+    """Return True if a value is two numbers, which may be infinite."""
+    if not isinstance(value, (tuple, list)) or len(value) != 2:
+        return False
+    return all(isinstance(one, Real) and not math.isnan(one) for one in value)

@@ -1,7 +1,8 @@
-"""Many simulations of a task in threads, as a Gymnasium vector environment."""
+"""Many simulations of a task, in threads or in MuJoCo Warp, as Gymnasium vector environments."""
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import mujoco
@@ -84,18 +85,14 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             "max_episode_steps": max_episode_steps,
             "autoreset_mode": self.autoreset_mode,
             "threads": threads,
-            "render_mode": render_mode,
-            "width": width,
-            "height": height,
-            "camera_name": camera_name,
+            **self.cameras.settings,
         }
         self.batch = self._make_batch(threads)
         self._state = self.task.new_state({name: self.batch.bind(name) for name in self.task.bound})
         self._ctrl = self.batch.bind("ctrl")
         self._plugin_state = self.batch.bind("plugin_state")
-        self._gravity = np.zeros((num_envs, 3))
-        if self.task.randomise is not None:
-            self._gravity = self.batch.expand("opt.gravity")
+        drawn = self.task.randomise is not None
+        self._gravity = self.batch.expand("opt.gravity") if drawn else np.zeros((num_envs, 3))
         self._randoms: list[np.random.Generator | None] = [None] * num_envs
         self._seeds: list[int | None] = [None] * num_envs
         self._episodes = np.zeros(num_envs, int)
@@ -103,7 +100,7 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._over = np.zeros(num_envs, bool)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _again, (type(self.task), self.task.options(), self.num_envs, self._settings)
+        return partial(type(self), **self._settings), (self.task, self.num_envs)
 
     @property
     def np_random(self) -> Any:  # pyright: ignore[reportIncompatibleMethodOverride]
@@ -142,13 +139,11 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             raise InputError(f"a seed is a whole number, or a list of them, not {kind_of(seed)}")
         if len(seeds) != self.num_envs:
             raise InputError(f"{self.num_envs} simulations need as many seeds, not {len(seeds)}")
-        chosen = np.ones(self.num_envs, bool)
-        if mask is not None:
-            chosen = np.asarray(mask)
-            if chosen.shape != (self.num_envs,) or chosen.dtype != bool or not chosen.any():
-                raise InputError(
-                    f"reset_mask must be {self.num_envs} bools of which one is true, not {chosen}"
-                )
+        chosen = np.ones(self.num_envs, bool) if mask is None else np.asarray(mask)
+        if chosen.shape != (self.num_envs,) or chosen.dtype != bool or not chosen.any():
+            raise InputError(
+                f"reset_mask must be {self.num_envs} bools of which one is true, not {chosen}"
+            )
         for number in np.flatnonzero(chosen):
             if seeds[number] is not None:
                 self._randoms[number], self._seeds[number] = seeding.np_random(seeds[number])
@@ -194,16 +189,13 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             rewards[again] = 0.0
             terminated[again] = truncated[again] = False
         over = terminated | truncated
+        self._over = over.copy()  # `_begin` changes it
         if self.autoreset_mode is AutoresetMode.SAME_STEP and over.any():
             self._finish(info, over, only_step)
             self._begin(np.flatnonzero(over), task.randomise)
-            _add(info, only_step, ~over)
-            _add(info, task.reset_info(state), np.ones(self.num_envs, bool))
-            self._over = np.zeros(self.num_envs, bool)
-        else:
-            _add(info, task.reset_info(state), np.ones(self.num_envs, bool))
-            _add(info, only_step, stepped)
-            self._over = over
+            stepped = ~over
+        _add(info, only_step, stepped)
+        _add(info, task.reset_info(state), np.ones(self.num_envs, bool))
         return task.observation(state), rewards, terminated, truncated, info
 
     def render(self) -> tuple[np.ndarray, ...] | None:
@@ -224,7 +216,14 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     def _make_batch(self, threads: int) -> Any:
         """Make the stepper of the simulations, with the methods of `mujoco.batch.Batch`."""
-        return _batch_class()(self.task.model, self.num_envs, threads)
+        try:
+            from mujoco.batch import Batch
+        except ImportError:
+            raise InputError(
+                f"a batch needs a MuJoCo with mujoco.batch (3.17, 4.0), this is "
+                f"{mujoco.__version__}: vectorization_mode='sync' or 'async' does without"
+            ) from None
+        return Batch(self.task.model, self.num_envs, threads)
 
     def _terminated(self) -> np.ndarray:
         """Return which episodes are over, shape (n,)."""
@@ -251,11 +250,8 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._over[ids] = False
         self.batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE.value)
         for number, sample, start in zip(ids, samples, starts, strict=True):
-            if sample is not None:
-                task.lay(sample, state, number, self._plugin_state[number], self._gravity[number])
-            state.qpos[number], state.qvel[number] = start.qpos, start.qvel
-            if start.userdata is not None:
-                state.userdata[number] = start.userdata
+            plugin_state, gravity = self._plugin_state[number], self._gravity[number]
+            task.lay(sample, start, state, number, plugin_state, gravity)
         self.batch.forward(ids)
         state.found.clear()
 
@@ -271,15 +267,40 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         info["final_info"], info["_final_info"] = ended, over.copy()
 
 
-def _batch_class() -> Any:
-    try:
-        from mujoco.batch import Batch
-    except ImportError:
-        raise InputError(
-            f"a batch needs a MuJoCo with mujoco.batch (3.17, 4.0), this is {mujoco.__version__}: "
-            "vectorization_mode='sync' or 'async' does without"
-        ) from None
-    return Batch
+class WarpVectorEnv(SandVectorEnv):
+    """A task with many simulations, stepped by MuJoCo Warp on a GPU or on the processor.
+
+    Observations, rewards, ends, `info` and seeds are as for `SandVectorEnv`, in single precision
+    and with the integrator `discrete` (docs/warp.md). A world whose state becomes NaN ends its
+    episode, with `info["sand/lost"]`; the others continue.
+
+    `device` is Warp's: "cuda:0", "cpu"; None for a GPU if there is one. Other arguments are as for
+    `SandVectorEnv`; sand that is not supported in MuJoCo Warp, such as a medium per world, is an
+    `InputError`.
+    """
+
+    def __init__(
+        self, task: str | Task, num_envs: int = 1, *, device: str | None = None, **kwargs: Any
+    ) -> None:
+        self._device = device
+        super().__init__(task, num_envs, **kwargs)
+        self._settings["device"] = device
+
+    def step(
+        self, actions: Any
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """Advance every simulation by `frame_skip` substeps, or begin its next episode."""
+        observation, reward, terminated, truncated, info = super().step(actions)
+        info["sand/lost"] = self.batch.lost.copy()
+        return observation, reward, terminated, truncated, info
+
+    def _make_batch(self, threads: int) -> Any:
+        from mjgranular.envs.worlds import Worlds  # imports MuJoCo Warp only when needed
+
+        return Worlds(self.task, self.num_envs, self._device)
+
+    def _terminated(self) -> np.ndarray:
+        return super()._terminated() | self.batch.lost
 
 
 def _add(info: dict[str, Any], values: dict[str, np.ndarray], mask: np.ndarray) -> None:
@@ -298,9 +319,3 @@ def _add(info: dict[str, Any], values: dict[str, np.ndarray], mask: np.ndarray) 
             value = value.copy()
             value[~mask] = None if value.dtype == object else 0
         info[name], info[f"_{name}"] = value, mask.copy()
-
-
-def _again(
-    task: type[Task], options: dict[str, Any], num_envs: int, settings: dict[str, Any]
-) -> SandVectorEnv:
-    return SandVectorEnv(task(**options), num_envs, **settings)

@@ -54,15 +54,10 @@ _TILT = math.cos(math.radians(70))  # as in mjlab
 
 
 class Motor(NamedTuple):
-    """The motor of a joint, behind its gear.
+    """The motor of a joint, behind its gear."""
 
-    Attributes:
-        torque: the largest [N m].
-        inertia: of its rotor [kg m^2].
-    """
-
-    torque: float
-    inertia: float
+    torque: float  # the largest [N m]
+    inertia: float  # of its rotor [kg m^2]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -221,7 +216,9 @@ class Go1Velocity(Task):
     @cached_property
     def _stance(self) -> np.ndarray:
         """Joint angles of the stance [rad], shape (12,)."""
-        return np.array([_stance_of(joint) for joint in JOINTS])
+        stance = np.array([_STANCE[joint.split("_")[1]] for joint in JOINTS])
+        stance[[3, 9]] *= -1  # hips on the left
+        return stance
 
     @cached_property
     def _angles(self) -> np.ndarray:
@@ -290,7 +287,7 @@ class Go1Velocity(Task):
         """Return steps at which commands begin, and commands; shape (_COMMANDS, 4)."""
         ranges = (self.command_x, self.command_y, self.command_yaw)
         table = np.zeros((_COMMANDS, 4))
-        table[1:, 0] = np.cumsum(self._draw_steps(random, _COMMAND_TIME, _COMMANDS - 1))
+        table[1:, 0] = np.round(random.uniform(*_COMMAND_TIME, _COMMANDS - 1) / self.dt).cumsum()
         for row in table:
             row[1:] = [random.uniform(*limits) for limits in ranges]
             kind = random.uniform()
@@ -303,15 +300,10 @@ class Go1Velocity(Task):
     def _draw_pushes(self, random: np.random.Generator) -> np.ndarray:
         """Return steps of pushes, and changes of the trunk's velocity; shape (_PUSHES, 7)."""
         table = np.zeros((_PUSHES, 7))
-        table[:, 0] = np.cumsum(self._draw_steps(random, _PUSH_TIME, _PUSHES))
+        table[:, 0] = np.round(random.uniform(*_PUSH_TIME, _PUSHES) / self.dt).cumsum()
         limit = self.push_scale * _PUSH_SIZE
         table[:, 1:] = random.uniform(-limit, limit, (_PUSHES, 6))
         return table
-
-    def _draw_steps(
-        self, random: np.random.Generator, seconds: tuple[float, float], count: int
-    ) -> np.ndarray:
-        return np.round(random.uniform(*seconds, count) / self.dt)
 
     # A step.
 
@@ -403,7 +395,7 @@ class Go1Velocity(Task):
         stray = np.where(lift > 0.0, height - lift, np.maximum(height, 0.0))
         change = state.userdata[:, _ACTION] - last
         slip = np.where(height < 0.0, np.square(speed), 0.0)
-        linear = _with_xy(command[:, :2]) - velocity
+        linear = command * [1.0, 1.0, 0.0] - velocity
         yaw = turning[:, 2] - command[:, 2]
         terms = {
             "linear": self.linear_weight * _exp(-np.square(linear).sum(axis=1) / 0.25),
@@ -505,11 +497,6 @@ def _check_robot(spec: mujoco.MjSpec, path: Path) -> None:
         raise InputError(f"{path} must have the bodies {', '.join(calves)}")
 
 
-def _stance_of(joint: str) -> float:
-    leg, part, _ = joint.split("_")
-    return -_STANCE[part] if part == "hip" and leg[1] == "L" else _STANCE[part]
-
-
 def _foot_name(leg: str) -> str:
     return f"{leg} sole"
 
@@ -544,11 +531,6 @@ def _to_body(qpos: np.ndarray, vector: Any) -> tuple[Any, Any, Any]:
         b - w * q + (z * p - x * r),
         c - w * r + (x * q - y * p),
     )
-
-
-def _with_xy(xy: np.ndarray) -> np.ndarray:
-    """Append a zero to each row."""
-    return np.concatenate([xy, np.zeros((len(xy), 1))], axis=1)
 
 
 def _exp(values: np.ndarray) -> np.ndarray:

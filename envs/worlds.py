@@ -29,14 +29,8 @@ class Worlds:
 
     Bound arrays are in this process: they are read from the device after each step, and written to
     it before the next. The model has `WarpSand` in place of the task's plugin, and the integrator
-    `discrete`.
-
-    Attributes:
-        lost: worlds whose state became NaN in the last step, shape (n,); they are reset to the
-            model's initial state.
-
-    Raises:
-        InputError: the task has sand that is not supported in MuJoCo Warp.
+    `discrete`. `lost` are the worlds whose state became NaN in the last step, shape (n,); they are
+    reset to the model's initial state.
     """
 
     def __init__(self, task: Task, count: int, device: str | None = None) -> None:
@@ -110,8 +104,8 @@ class Worlds:
         else:
             self._steps(nstep)
         self._read(None)
-        state = (self._arrays["qpos"], self._arrays["qvel"])
-        self.lost = ~(np.isfinite(state[0]).all(1) & np.isfinite(state[1]).all(1))
+        finite = [np.isfinite(self._arrays[name]).all(1) for name in ("qpos", "qvel")]
+        self.lost = ~(finite[0] & finite[1])
         if self.lost.any():
             self.reset(np.flatnonzero(self.lost))
             self.forward(np.flatnonzero(self.lost))
@@ -182,14 +176,9 @@ class Worlds:
     def _figures(self) -> np.ndarray:
         """Return readings of the sand's sensors: force, depth, power and speed, shape (n, 6)."""
         sand = self._sand
-        return np.column_stack(
-            [
-                sand.force.numpy().sum(1),
-                sand.depth.numpy().max(1),
-                sand.power.numpy().sum(1),
-                sand.speed.numpy().max(1),
-            ]
-        )
+        force, power = sand.force.numpy().sum(1), sand.power.numpy().sum(1)
+        depth, speed = sand.depth.numpy().max(1), sand.speed.numpy().max(1)
+        return np.column_stack([force, depth, power, speed])
 
     def _external(self) -> np.ndarray:
         """Return the sand's part of `cfrc_ext`: moments about the tree's center, and forces."""

@@ -1,6 +1,5 @@
-"""Models of the package, and builders for other sizes of them."""
+"""Models of the package: files, and builders of the link, of bodies in its place and of robots."""
 
-from mjgranular.models.chain import Chain as Chain
 from mjgranular.models.hexapod import Hexapod as Hexapod
 from mjgranular.models.li_robot import LiRobot as LiRobot
 from mjgranular.models.link import Link as Link

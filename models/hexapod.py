@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import mujoco
 import numpy as np
 
-from mjgranular._util.checks import is_finite
-from mjgranular.errors import InputError
-from mjgranular.models.link import add_servo, robot_scene
+from mjgranular.models.link import LEGGED, add_servo, robot_scene
 
 LEGS = ("front_left", "middle_left", "rear_left", "front_right", "middle_right", "rear_right")
 """Names of the legs, in the order of their joints and servos."""
@@ -17,7 +13,6 @@ LEGS = ("front_left", "middle_left", "rear_left", "front_right", "middle_right",
 _FOOT_MASS = 0.01  # mass of a hollow ball [kg]; chosen
 
 
-@dataclass(frozen=True)
 class Hexapod:
     """A box on six legs, each with a hip that swings it back and forth and a knee that lifts it.
 
@@ -29,53 +24,20 @@ class Hexapod:
     The joint torque is the servo's, up to its stall torque in both directions, minus `torque /
     speed` times the joint's speed: the straight line from stall torque to no-load speed of a DC
     motor.
-
-    Attributes:
-        length: length of the torso [m].
-        width: width of the torso [m].
-        height: height of the torso [m].
-        upper: length of the upper leg, outward from the torso [m].
-        lower: length of the lower leg, downward [m].
-        thickness: diameter of the legs [m].
-        foot: radius of the ball at the end of a leg [m].
-        torso_mass: mass of the torso, with battery and electronics [kg].
-        leg_mass: mass of a leg, most of it in the servo at the knee [kg].
-        swing: largest commanded hip angle in both directions [rad].
-        lift: largest commanded knee angle in both directions [rad].
-        stiffness: gain of a servo [N m/rad].
-        torque: stall torque of a servo [N m].
-        speed: no-load speed of a servo [rad/s].
-        armature: inertia of a servo's rotor, at the joint [kg m^2].
-
-    Raises:
-        InputError: a value outside its range.
     """
 
-    length: float = 0.36
-    width: float = 0.16
-    height: float = 0.06
-    upper: float = 0.07
-    lower: float = 0.12
-    thickness: float = 0.024
-    foot: float = 0.025
-    torso_mass: float = 1.5
-    leg_mass: float = 0.15
-    swing: float = 0.6
-    lift: float = 0.6
-    stiffness: float = 12.0
-    torque: float = 1.5
-    speed: float = 6.0
-    armature: float = 2e-3
-
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not (is_finite(value) and value > 0):
-                raise InputError(f"the hexapod's {name} must be positive, not {value}")
-
-    @property
-    def mass(self) -> float:
-        """Mass of the robot [kg]."""
-        return self.torso_mass + 6 * (self.leg_mass + _FOOT_MASS)
+    length, width, height = 0.36, 0.16, 0.06  # of the torso [m]
+    upper = 0.07  # length of the upper leg, outward from the torso [m]
+    lower = 0.12  # length of the lower leg, downward [m]
+    thickness = 0.024  # diameter of the legs [m]
+    foot = 0.025  # radius of the ball at the end of a leg [m]
+    torso_mass = 1.5  # with battery and electronics [kg]
+    leg_mass = 0.15  # most of it in the servo at the knee [kg]
+    swing, lift = 0.6, 0.6  # largest commanded angles of hip and knee, in both directions [rad]
+    stiffness = 12.0  # gain of a servo [N m/rad]
+    torque = 1.5  # stall torque of a servo [N m]
+    speed = 6.0  # no-load speed of a servo [rad/s]
+    armature = 2e-3  # inertia of a servo's rotor, at the joint [kg m^2]
 
     @property
     def standing(self) -> float:
@@ -84,7 +46,7 @@ class Hexapod:
 
     def spec(self, timestep: float) -> mujoco.MjSpec:
         """Return an editable model, with a floor at z = 0, at a time step [s]."""
-        spec = robot_scene("hexapod", timestep)
+        spec = robot_scene("hexapod", timestep, LEGGED)
         torso = spec.worldbody.add_body(name="torso", pos=[0, 0, self.standing])
         torso.add_freejoint(name="root")
         torso.add_geom(

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 import mujoco
 import numpy as np
 
 from mjgranular._util.checks import is_finite
 from mjgranular.errors import InputError
-from mjgranular.models.link import robot_scene
+from mjgranular.models.link import LEGGED, robot_scene
 
 HIPS = (-0.05, 0.0, 0.05)
 """Positions of the hips along the body [m]; not published, chosen from the drawing of Li et al."""
@@ -43,37 +44,28 @@ class LiRobot:
         curvature: curvature of the legs, half the chord over the radius of the arc: 1 is a
             semicircle that bulges in the direction of motion in the sand, 0 is straight, -1 the
             reversed semicircle.
-        length: length of the body [m].
-        width: width of the belly [m].
-        mass: mass of the robot [kg].
-        inertia: moment of inertia about the pitch axis, through the center of mass [kg m^2].
-        chord: distance from hip to tip of a leg [m].
-        leg_width: width of a leg, along y [m].
-        thickness: thickness of a leg [m].
 
     Raises:
-        InputError: a value outside its range.
+        InputError: a curvature outside its range.
     """
 
+    length: ClassVar[float] = 0.13  # of the body [m]
+    width: ClassVar[float] = 0.02  # of the belly [m]
+    mass: ClassVar[float] = 0.15  # of the robot [kg]
+    inertia: ClassVar[float] = 2.08e-4  # about the pitch axis, through the center of mass [kg m^2]
+    chord: ClassVar[float] = 0.041  # from hip to tip of a leg [m]
+    leg_width: ClassVar[float] = 0.01  # along y [m]
+    thickness: ClassVar[float] = 0.003  # of a leg [m]
+
     curvature: float = 1.0
-    length: float = 0.13
-    width: float = 0.02
-    mass: float = 0.15
-    inertia: float = 2.08e-4
-    chord: float = 0.041
-    leg_width: float = 0.01
-    thickness: float = 0.003
 
     def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if name != "curvature" and not (is_finite(value) and value > 0):
-                raise InputError(f"the robot's {name} must be positive, got {value}")
         if not (is_finite(self.curvature) and abs(self.curvature) <= 1):
             raise InputError(f"the legs' curvature must be from -1 to 1, got {self.curvature}")
 
     def spec(self, timestep: float = 1e-3) -> mujoco.MjSpec:
         """Build an editable model, with a floor at z = 0."""
-        spec = robot_scene("li_robot", timestep)
+        spec = robot_scene("li_robot", timestep, LEGGED)
         body = spec.worldbody.add_body(
             name="body",
             mass=self.mass - 6 * _LEG_MASS,
@@ -115,11 +107,7 @@ class LiRobot:
         return self.spec(timestep).compile()
 
     def start(self, frequency: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return `qpos`, `qvel` and `ctrl` with the belly on z = 0 and the legs turning.
-
-        Args:
-            frequency: turns of the legs per second [Hz].
-        """
+        """Return `qpos`, `qvel`, `ctrl`: belly on z = 0, legs turning at a frequency [Hz]."""
         rate = 2 * math.pi * frequency
         # One tripod moves backward as the other moves forward: none starts in the sand.
         sides = [(1 if x == 0 else -1) * side for _, x, side in self._legs()]

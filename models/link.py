@@ -21,6 +21,9 @@ PAPER_LENGTH = 0.2
 DARK = (0.25, 0.27, 0.31)
 """Color of legs and heads of robots."""
 
+LEGGED = {"shell": (0.86, 0.45, 0.16), "leg": DARK}
+"""Colors of robots with legs."""
+
 
 def model_path(name: str) -> Path:
     """Return the path of an MJCF file by name, "link" for example.
@@ -112,23 +115,12 @@ class Link:
         return 0.0, -self.length / 2
 
     def touching(self, q: float) -> np.ndarray:
-        """Return `qpos` with T on the surface at the origin, shape (3,).
-
-        Args:
-            q: angle from the vertical [rad].
-        """
+        """Return `qpos` with T on the surface at the origin; q is from the vertical [rad]."""
         x, z = offset(self.lowest(q), q)
         return np.array([-x, -z, q])
 
     def moving(self, q: float, speed: float, tangential: float, omega: float) -> np.ndarray:
-        """Return `qvel` for given velocities of T, shape (3,).
-
-        Args:
-            q: angle from the vertical [rad].
-            speed: v_Ty, speed of T downward [m/s].
-            tangential: v_Tx, speed of T along x [m/s].
-            omega: dq/dt [rad/s].
-        """
+        """Return `qvel` for speeds of T, downward and along x [m/s], and omega = dq/dt [rad/s]."""
         x, z = offset(self.lowest(q), q)
         # A rotation by dq moves T by dq (-z, x) relative to C.
         return np.array([tangential + omega * z, -speed - omega * x, omega])
@@ -141,10 +133,7 @@ class Link:
     ) -> tuple[float, float, float, float]:
         """Return position and velocity of T: (x_T, y_T, v_Tx, v_Ty), y down [m], [m/s].
 
-        Args:
-            qpos: shape (3,).
-            qvel: shape (3,).
-            point: T in the body's frame, from `lowest` at release; None for the lower pole.
+        The point is T in the body's frame, from `lowest` at release; None for the lower pole.
         """
         x, z, q = qpos
         vx, vz, omega = qvel
@@ -180,28 +169,31 @@ def add_servo(
     servo.forcelimited, servo.forcerange = True, [-torque, torque]
 
 
-def robot_scene(name: str, timestep: float) -> mujoco.MjSpec:
-    """Return an editable model without bodies: lights, a floor at z = 0, materials for robots."""
+def robot_scene(
+    name: str,
+    timestep: float,
+    colors: dict[str, tuple[float, float, float]],
+    *,
+    length: float | None = None,
+) -> mujoco.MjSpec:
+    """Return an editable model without bodies: lights, a floor at z = 0, materials of these colors.
+
+    It has the cameras of link.xml, scaled to a robot of that length [m], or none.
+    """
     spec = mujoco.MjSpec.from_file(str(model_path("link")))
     spec.modelname = name
     spec.comment = f"Made by mjgranular.models: {name}."
-    for each in (*spec.cameras, *spec.texts, spec.body("link"), spec.key("impact")):
+    if length is None:
+        for camera in spec.cameras:
+            spec.delete(camera)
+    else:
+        scale_scenery(spec, length / PAPER_LENGTH)
+    geoms = (spec.geom("bed"), spec.geom("table"))
+    for each in (*geoms, *spec.texts, spec.body("link"), spec.key("impact")):
         spec.delete(each)
-    make_floor(spec, timestep)
-    paint(spec, shell=(0.86, 0.45, 0.16), leg=DARK)
-    return spec
-
-
-def make_floor(spec: mujoco.MjSpec, timestep: float) -> None:
-    """Put a floor at z = 0 in place of the bed of link.xml; set the options of robots."""
-    for each in ("bed", "table"):
-        spec.delete(spec.geom(each))
     spec.option.timestep = timestep
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[50, 50, 1])
-
-
-def paint(spec: mujoco.MjSpec, **colors: tuple[float, float, float]) -> None:
-    """Add materials of robots by their names, from red, green and blue."""
     for part, color in colors.items():
         spec.add_material(name=part, rgba=[*color, 1], specular=0.3, shininess=0.4)
+    return spec

@@ -126,11 +126,9 @@ class Projectile(Link):
         dx, dz = -math.sin(q), -math.cos(q)
         if self.shape == "link":
             return 0.0, -z
-        if self.shape in ("box", "plate"):
-            return (math.copysign(x, dx) if abs(dx) > 1e-9 else 0.0), math.copysign(z, dz)
         if self.shape in ("sphere", "ellipsoid"):
             size = math.hypot(x * dx, z * dz)
             return x * x * dx / size, z * z * dz / size
-        if self.shape == "cylinder":
+        if self.shape in ("box", "plate", "cylinder"):
             return (math.copysign(x, dx) if abs(dx) > 1e-9 else 0.0), math.copysign(z, dz)
         return x * dx, math.copysign(z - x, dz) + x * dz

@@ -4,17 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal
 
 import mujoco
 import numpy as np
 
-from mjgranular._util.checks import is_finite
-from mjgranular.errors import InputError
-from mjgranular.models.chain import Chain
-from mjgranular.models.link import DARK, add_servo, make_floor, paint
-
-Posture = Literal["level", "upright"]
+from mjgranular.models.link import DARK, Link, add_servo, robot_scene
 
 
 @dataclass(frozen=True)
@@ -36,52 +31,19 @@ class Worm:
     speed` times the joint's speed: the straight line from stall torque to no-load speed of a DC
     motor. All values are chosen, not measured; with those of a level worm one of a sandfish's size
     can swim, and they are larger than those of real servos of that size.
-
-    Attributes:
-        count: number of links.
-        length: length of the body [m].
-        width: width of the body [m].
-        density: density of the body [kg/m^3].
-        posture: "level" or "upright".
-        depth: depth of the axis of a level worm [m].
-        bend: largest commanded servo angle in both directions [rad].
-        stiffness: gain of a servo [N m/rad].
-        torque: stall torque of a servo [N m].
-        speed: no-load speed of a servo [rad/s].
-        armature: inertia of a servo's rotor, at the joint [kg m^2].
-
-    Raises:
-        InputError: a value outside its range.
     """
 
-    count: int = 7
-    length: float = 0.12
-    width: float = 0.016
-    density: float = 1100.0
-    posture: Posture = "level"
-    depth: float = 0.048
-    bend: float = 1.0
-    stiffness: float = 5.0
-    torque: float = 1.0
-    speed: float = 8.0
-    armature: float = 1e-4
-
-    def __post_init__(self) -> None:
-        if not isinstance(self.count, int) or isinstance(self.count, bool) or self.count < 1:
-            raise InputError(f"a worm has one link or more, not {self.count!r}")
-        if self.posture not in get_args(Posture):
-            raise InputError(
-                f"the worm's posture must be one of {', '.join(get_args(Posture))}, "
-                f"not {self.posture!r}"
-            )
-        for name in ("length", "width", "density", "bend", "stiffness", "torque", "speed"):
-            value = getattr(self, name)
-            if not (is_finite(value) and value > 0):
-                raise InputError(f"the worm's {name} must be positive, not {value}")
-        if not (is_finite(self.depth) and is_finite(self.armature) and self.armature >= 0):
-            raise InputError(
-                "the worm's depth and armature must be finite, the latter not negative"
-            )
+    count: int = 7  # number of links
+    length: float = 0.12  # length of the body [m]
+    width: float = 0.016  # width of the body [m]
+    density: float = 1100.0  # density of the body [kg/m^3]
+    posture: Literal["level", "upright"] = "level"
+    depth: float = 0.048  # depth of the axis of a level worm [m]
+    bend: float = 1.0  # largest commanded servo angle in both directions [rad]
+    stiffness: float = 5.0  # gain of a servo [N m/rad]
+    torque: float = 1.0  # stall torque of a servo [N m]
+    speed: float = 8.0  # no-load speed of a servo [rad/s]
+    armature: float = 1e-4  # inertia of a servo's rotor, at the joint [kg m^2]
 
     @property
     def step(self) -> float:
@@ -100,40 +62,17 @@ class Worm:
         behind = first + self.root
         return (*reversed(range(first, behind)), *range(behind, self.count + 2))
 
-    @property
-    def chain(self) -> Chain:
-        """A chain of the same number of thin rods, with the scenery and the masses of the links."""
-        level = self.posture == "level"
-        thin = self.step / 2
-        return Chain(
-            self.count,
-            length=self.step,
-            diameter=thin,
-            density=self.density * (self.width / thin) ** 2,
-            base="level" if level else "free",
-            height=-self.depth if level else None,
-        )
-
-    @property
-    def mass(self) -> float:
-        """Mass of the body [kg]."""
-        return self.chain.mass
-
     def spec(self, timestep: float) -> mujoco.MjSpec:
         """Return an editable model, with a floor at z = 0, at a time step [s]."""
-        level = self.posture == "level"
-        spec = self.chain.spec()
-        spec.modelname = "worm"
-        spec.comment = "A worm: mjgranular.models.Worm."
-        spec.delete(spec.body("link0"))
-        spec.delete(spec.key("start"))
-        make_floor(spec, timestep)
-        for light in spec.lights:  # a level worm lies on the rendered sand
-            light.castshadow = not level
-        if level:  # the chain's first link is at x = 0; here it is the middle one
-            for camera in spec.cameras:
-                camera.pos[0] += self.length / 2
-        paint(spec, skin=(0.72, 0.36, 0.22), head=DARK)
+        colors = {"skin": (0.72, 0.36, 0.22), "head": DARK}
+        spec = robot_scene("worm", timestep, colors, length=self.length)
+        if self.posture == "level":
+            for light in spec.lights:  # it lies on the rendered sand
+                light.castshadow = False
+            for name, distance in (("side", 3.0), ("close", 1.5)):
+                camera, away = spec.camera(name), distance * self.length
+                camera.pos = [0.0, -0.6 * away, 0.8 * away - self.depth]
+                camera.alt.xyaxes = [1, 0, 0, 0, 0.8, 0.6]
         middle = self._add_root(spec)
         parent = middle
         for index in reversed(range(self.root)):
@@ -151,6 +90,11 @@ class Worm:
         if self.posture == "upright":
             qpos[1], qpos[2] = self.width / 2, -math.pi / 2
         return qpos
+
+    @property
+    def _link_mass(self) -> float:
+        thin = self.step / 2  # a link is slender: a thin one, of the mass of a wide cylinder
+        return Link(self.step, thin, self.density * (self.width / thin) ** 2).mass
 
     @property
     def _axis(self) -> np.ndarray:
@@ -187,7 +131,7 @@ class Worm:
 
     def _fill(self, body: mujoco.MjsBody, index: int) -> None:
         """Add mass and geom."""
-        mass = self.chain.link.mass
+        mass = self._link_mass
         across = mass * (3 * (self.width / 2) ** 2 + self.step**2) / 12
         body.explicitinertial = True
         body.ipos = [0, 0, 0]  # unset, it would be taken from the body's position

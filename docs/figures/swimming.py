@@ -22,7 +22,7 @@ import numpy as np
 from scipy.optimize import root
 
 from mjgranular import Law, Report, Rft3dLaw, Sand, media
-from mjgranular.models import Chain
+from mjgranular.models import Link
 
 LENGTH = 0.12  # of the body [m], about a sandfish's; no result depends on it
 SLENDERNESS = 7.5  # length over width, about a sandfish's
@@ -79,6 +79,37 @@ class Wave:
         return (self.angles(phase + h) - self.angles(phase - h)) / (2 * h)
 
 
+def chain(links: int) -> mujoco.MjSpec:
+    """A chain along x, the first link ahead, that moves in the level plane at its depth.
+
+    Its capsules are wider than long, each around a whole link and past its joints. Mass and
+    actuators matter only where somebody steps the model.
+    """
+    radius, length = LENGTH / SLENDERNESS / 2, LENGTH / links
+    rod = Link(length, length / 2, DENSITY * (4 * radius / length) ** 2)  # gives the mass
+    spec = mujoco.MjSpec()
+    spec.option.timestep = 1e-5
+    slide, hinge = mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE
+    parent = spec.worldbody
+    for i in range(links):
+        body = parent.add_body(name=f"link{i}", pos=[0, 0, -length])
+        if i == 0:
+            # The body's x, y, z are the world's y, z, x: the links lie along x.
+            body.pos, body.quat = [0, 0, -2 * DEPTH * radius], [0.5, 0.5, 0.5, 0.5]
+            body.add_joint(name="x", type=slide, axis=[0, 0, 1])
+            body.add_joint(name="y", type=slide, axis=[1, 0, 0])
+        joint = body.add_joint(name=f"q{i}", type=hinge, axis=[0, 1, 0])
+        if i > 0:
+            joint.pos = [0, 0, length / 2]
+            servo = spec.add_actuator(target=f"q{i}", trntype=mujoco.mjtTrn.mjTRN_JOINT)
+            servo.set_to_position(kp=50.0, kv=0.5)
+        body.explicitinertial, body.ipos, body.mass = True, [0, 0, 0], rod.mass
+        body.inertia = [rod.inertia, rod.inertia, rod.mass * rod.diameter**2 / 8]
+        body.add_geom(type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=[radius, length / 2, 0.0], contype=0)
+        parent = body
+    return spec
+
+
 class Swimmer:
     """A buried chain in a level plane.
 
@@ -97,33 +128,8 @@ class Swimmer:
         medium: str = "quikrete_medium",
         law: str | Law = "rft3d",
     ) -> None:
-        radius, length = LENGTH / SLENDERNESS / 2, LENGTH / links
-        # The chain gives joints and mass; capsules that are wider than long, each around a whole
-        # link and past its joints, take the place of its own. Mass and actuators matter only where
-        # somebody steps the model.
-        chain = Chain(
-            links,
-            length=length,
-            diameter=length / 2,
-            density=DENSITY * (4 * radius / length) ** 2,
-            base="level",
-            height=-2 * DEPTH * radius,
-            actuators="position",
-            kp=50.0,
-            kv=0.5,
-        )
-        spec = chain.spec()
-        for i in range(links):
-            name = f"link{i}"
-            spec.delete(spec.geom(name))
-            spec.body(name).add_geom(
-                name=name,
-                type=mujoco.mjtGeom.mjGEOM_CAPSULE,
-                size=[radius, length / 2, 0.0],
-                contype=0,
-            )
         self.links = links
-        self.model = spec.compile()
+        self.model = chain(links).compile()
         self.data = mujoco.MjData(self.model)
         # Explicit: the forces are those of the state at hand.
         self.sand = Sand(

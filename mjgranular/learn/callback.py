@@ -28,19 +28,14 @@ ends)."""
 
 
 class CheckpointCallback(BaseCallback):
-    """Writes curve and checkpoints between rollouts, and ends the training after a signal.
-
-    Attributes:
-        rollout_start: number of steps at the start of the rollout.
-        stopped: whether a signal ended the training within a rollout.
-    """
+    """Writes curve and checkpoints between rollouts, and ends the training after a signal."""
 
     def __init__(
         self, run: Run, start: Progress, report: Report | None, received: Sequence[int]
     ) -> None:
         super().__init__()
-        self.rollout_start = start.steps
-        self.stopped = False
+        self.rollout_start = start.steps  # number of steps at the start of the rollout
+        self.stopped = False  # whether a signal ended the training within a rollout
         self._run, self._start, self._report, self._received = run, start, report, received
         self._curve = list(start.curve)
         self._began = time.monotonic()

@@ -27,17 +27,15 @@ from mjgranular.learn.run import (
 from mjgranular.learn.settings import Settings
 from mjgranular.learn.weights import add_spaces, check_spaces, read_weights
 
+_KEPT = 2  # checkpoints; the older one in case the newer is damaged
 _NUMBERS = ("count", "clip", "epsilon", "return_mean", "return_variance", "return_count")
 _REPLAY_ARRAYS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 
 # State of the running episodes, which a checkpoint does not keep: see `callback.restart_episodes`.
 _EPISODE_STATE = (
-    "_last_obs",
-    "_last_original_obs",
-    "_last_episode_starts",
-    "ep_info_buffer",
-    "ep_success_buffer",
-)
+    "_last_obs", "_last_original_obs", "_last_episode_starts",
+    "ep_info_buffer", "ep_success_buffer",
+)  # fmt: skip
 
 
 # Whole checkpoints
@@ -45,34 +43,33 @@ _EPISODE_STATE = (
 
 @dataclass(frozen=True)
 class Progress:
-    """Progress of a training.
+    """Progress of a training."""
 
-    Attributes:
-        steps: steps of all environments together.
-        seconds: time spent in training, in all processes together [s].
-        curve: rows of `run.CURVE_COLUMNS`.
-    """
-
-    steps: int
-    seconds: float
-    curve: Sequence[tuple[float, ...]]
+    steps: int  # steps of all environments together
+    seconds: float  # time spent in training, in all processes together [s]
+    curve: Sequence[tuple[float, ...]]  # rows of `run.CURVE_COLUMNS`
 
 
 def save_checkpoint(run: Run, model: Any, progress: Progress) -> None:
     """Write a checkpoint of an algorithm of Stable-Baselines3 atomically; keep the newest two."""
+    tables = {
+        CONFIG: run.config(),
+        NORMALIZER: Normalizer.of(model.get_vec_normalize_env()).as_json(),
+        STATE: {"steps": progress.steps, "seconds": progress.seconds},
+    }
 
     def fill(folder: Path) -> None:
-        _write_json(folder / CONFIG, run.config())
         model.save(folder / POLICY, exclude=_EPISODE_STATE)
         add_spaces(folder / POLICY, model)
-        _write_json(folder / NORMALIZER, Normalizer.of(model.get_vec_normalize_env()).as_json())
         (folder / CURVE).write_text(curve_text(progress.curve), encoding="utf-8")
         if hasattr(model, "replay_buffer"):
             _write_replay(folder / REPLAY, model.replay_buffer)
-        _write_json(folder / STATE, {"steps": progress.steps, "seconds": progress.seconds})
+        for name, table in tables.items():
+            (folder / name).write_text(json.dumps(table, indent=2) + "\n", encoding="utf-8")
 
     files.write_folder(run.checkpoint_folder(progress.steps), fill)
-    run.remove_old_checkpoints()
+    for old in run.checkpoints()[_KEPT:]:
+        files.remove_folder(old)
 
 
 def load_checkpoint(
@@ -109,38 +106,22 @@ def write_policy(run: Run, checkpoint: Path) -> None:
             (waiting / name).write_bytes((checkpoint / name).read_bytes())
 
 
-def _write_json(file: Path, content: Any) -> None:
-    file.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
-
-
 # Statistics of observations and returns
 
 
 @dataclass(frozen=True)
 class Normalizer:
-    """Statistics of a `VecNormalize`, which scales observations as it does.
+    """Statistics of a `VecNormalize`, which scales observations as it does."""
 
-    Attributes:
-        observations: whether observations are scaled.
-        mean: of the observations, shape of one; empty if they are not scaled, as the next.
-        variance: of the observations.
-        count: number of observations.
-        clip: largest absolute value of a scaled number.
-        epsilon: added to the variance.
-        return_mean: mean of the discounted returns.
-        return_variance: their variance.
-        return_count: their number.
-    """
-
-    observations: bool
-    mean: np.ndarray
-    variance: np.ndarray
-    count: float
-    clip: float
-    epsilon: float
-    return_mean: float
-    return_variance: float
-    return_count: float
+    observations: bool  # whether observations are scaled
+    mean: np.ndarray  # of the observations, shape of one; empty if they are not scaled, as the next
+    variance: np.ndarray  # of the observations
+    count: float  # number of observations
+    clip: float  # largest absolute value of a scaled number
+    epsilon: float  # added to the variance
+    return_mean: float  # mean of the discounted returns
+    return_variance: float  # their variance
+    return_count: float  # their number
 
     def __call__(self, observations: np.ndarray) -> np.ndarray:
         if not self.observations:
@@ -151,18 +132,12 @@ class Normalizer:
     @classmethod
     def of(cls, env: Any) -> Normalizer:
         """Return the statistics of a `VecNormalize`."""
-        seen, returns = env.obs_rms if env.norm_obs else None, env.ret_rms
-        return cls(
-            observations=env.norm_obs,
-            mean=seen.mean if seen else np.array([]),
-            variance=seen.var if seen else np.array([]),
-            count=float(seen.count) if seen else 0.0,
-            clip=float(env.clip_obs),
-            epsilon=float(env.epsilon),
-            return_mean=float(returns.mean),
-            return_variance=float(returns.var),
-            return_count=float(returns.count),
-        )
+        none, returns = np.array([]), env.ret_rms
+        mean, variance, count = none, none, 0.0
+        if env.norm_obs:
+            mean, variance, count = env.obs_rms.mean, env.obs_rms.var, env.obs_rms.count
+        numbers = (count, env.clip_obs, env.epsilon, returns.mean, returns.var, returns.count)
+        return cls(env.norm_obs, mean, variance, *map(float, numbers))
 
     def restore(self, env: Any) -> None:
         """Put the statistics into a `VecNormalize`."""

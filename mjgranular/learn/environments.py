@@ -22,9 +22,8 @@ def find_spec(env_id: str) -> Any:
 
 def one(env_id: str, arguments: Mapping[str, Any]) -> Any:
     """Return one environment, a `gymnasium.Env`."""
-    gym = require("gymnasium", extra="train", purpose=_PURPOSE)
     find_spec(env_id)
-    return _made(env_id, arguments, lambda given: gym.make(env_id, **given))
+    return _made(env_id, arguments, lambda gym, given: gym.make(env_id, **given))
 
 
 def several(env_id: str, arguments: Mapping[str, Any], *, num_envs: int) -> Any:
@@ -32,18 +31,13 @@ def several(env_id: str, arguments: Mapping[str, Any], *, num_envs: int) -> Any:
 
     Those that have a vector form run in it; others run one after another.
     """
-    gym = require("gymnasium", extra="train", purpose=_PURPOSE)
     mode = "vector_entry_point" if _has_vector_form(env_id) else "sync"
     options: dict[str, Any] = {"num_envs": num_envs, "vectorization_mode": mode}
-    return _made(env_id, arguments, lambda given: gym.make_vec(env_id, **{**options, **given}))
+    return _made(env_id, arguments, lambda gym, given: gym.make_vec(env_id, **{**options, **given}))
 
 
 def for_training(
-    env_id: str,
-    arguments: Mapping[str, Any],
-    *,
-    num_envs: int,
-    warp: str | None = None,
+    env_id: str, arguments: Mapping[str, Any], *, num_envs: int, warp: str | None = None
 ) -> Any:
     """Return environments as a `VecEnv` of Stable-Baselines3 that reports finished episodes."""
     require("stable_baselines3", extra="train", purpose="Training a policy")
@@ -58,22 +52,20 @@ def for_training(
         )
     if not batch:
         return _made(
-            env_id, arguments, lambda given: make_vec_env(env_id, num_envs, env_kwargs=given)
+            env_id, arguments, lambda _, given: make_vec_env(env_id, num_envs, env_kwargs=given)
         )
     make = importlib.import_module("mjgranular.envs.sb3").make_vec_env
-    env = _made(env_id, arguments, lambda given: make(env_id, num_envs, warp=warp, **given))
-    return VecMonitor(env)
+    return VecMonitor(
+        _made(env_id, arguments, lambda _, given: make(env_id, num_envs, warp=warp, **given))
+    )
 
 
 def for_filming(
     env_id: str, arguments: Mapping[str, Any], *, width: int, height: int, camera: str | None
 ) -> Any:
     """Return one environment that renders itself."""
-    from gymnasium.envs.registration import load_env_creator
-
-    creator = find_spec(env_id).entry_point
-    if isinstance(creator, str):
-        creator = load_env_creator(creator)
+    known = importlib.import_module("mjgranular.envs.known")
+    creator = known.creator_of(known.find_spec(env_id).entry_point)
     parameters = inspect.signature(creator).parameters
     takes_all = any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters.values())
     if camera is not None and not (takes_all or "camera_name" in parameters):
@@ -90,11 +82,11 @@ def _has_vector_form(env_id: str) -> bool:
     return find_spec(env_id).vector_entry_point is not None and ours
 
 
-def _made(env_id: str, arguments: Mapping[str, Any], make: Callable[[dict[str, Any]], T]) -> T:
-    """Call `make`; turn an environment's own errors into one sentence."""
+def _made(env_id: str, arguments: Mapping[str, Any], make: Callable[[Any, dict[str, Any]], T]) -> T:
+    """Call `make(gymnasium, arguments)`; turn errors of the environment into one sentence."""
     gym = require("gymnasium", extra="train", purpose=_PURPOSE)
     try:
-        return make(dict(arguments))
+        return make(gym, dict(arguments))
     except GranularError:
         raise
     except gym.error.DependencyNotInstalled as error:

@@ -30,19 +30,12 @@ _CONFIDENCE = 0.95
 
 @dataclass(frozen=True)
 class Episodes:
-    """Outcome of n episodes: arrays of shape (n,).
+    """Outcome of n episodes: arrays of shape (n,)."""
 
-    Attributes:
-        seeds: seeds of the resets.
-        returns: sums of rewards.
-        lengths: numbers of steps.
-        figures: means over each episode of the numbers in `info`, by name.
-    """
-
-    seeds: np.ndarray
-    returns: np.ndarray
-    lengths: np.ndarray
-    figures: dict[str, np.ndarray]
+    seeds: np.ndarray  # seeds of the resets
+    returns: np.ndarray  # sums of rewards
+    lengths: np.ndarray  # numbers of steps
+    figures: dict[str, np.ndarray]  # means over each episode of the numbers in `info`, by name
 
 
 def run_episodes(
@@ -113,19 +106,12 @@ def _is_number_each(values: object, count: int) -> bool:
 
 @dataclass(frozen=True)
 class Mean:
-    """A mean with its confidence interval, from Student's t distribution.
+    """A mean with its confidence interval, from Student's t distribution."""
 
-    Attributes:
-        mean: mean of the values.
-        low: lower end of the 95 % interval.
-        high: upper end.
-        values: one for each seed.
-    """
-
-    mean: float
-    low: float
-    high: float
-    values: tuple[float, ...]
+    mean: float  # mean of the values
+    low: float  # lower end of the 95 % interval
+    high: float  # upper end
+    values: tuple[float, ...]  # one for each seed
 
     def __str__(self) -> str:
         return f"{self.mean:.4g} ± {(self.high - self.low) / 2:.2g}"
@@ -176,6 +162,7 @@ class Score:
     def as_json(self) -> dict[str, Any]:
         """Return plain values."""
         figures = {name: mean_of(values) for name, values in self.episodes.figures.items()}
+        finite = {name: vars(mean) for name, mean in figures.items() if np.isfinite(mean.mean)}
         return {
             "agent": self.agent,
             "environment": self.environment,
@@ -183,9 +170,7 @@ class Score:
             "seeds": self.episodes.seeds.tolist(),
             "return": vars(self.returned),
             "length": vars(self.length),
-            "figures": {
-                name: vars(mean) for name, mean in figures.items() if np.isfinite(mean.mean)
-            },
+            "figures": finite,
         }
 
 

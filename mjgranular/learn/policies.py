@@ -14,14 +14,7 @@ from mjgranular._util import files
 from mjgranular._util.result_folder import CONFIG
 from mjgranular.errors import OutputError, UnknownNameError, warn_user
 from mjgranular.learn.checkpoint import Normalizer
-from mjgranular.learn.run import (
-    CHECKPOINTS,
-    CURVE,
-    NORMALIZER,
-    POLICY,
-    Run,
-    open_run,
-)
+from mjgranular.learn.run import CHECKPOINTS, CURVE, NORMALIZER, POLICY, Run, open_run
 from mjgranular.learn.weights import build_policy, check_spaces, read_weights
 
 SHIPPED = Path(mjgranular.models.__file__).resolve().parent / "policies"
@@ -31,27 +24,15 @@ POLICY_FILES = (CONFIG, POLICY, NORMALIZER, CURVE)
 
 @dataclass(frozen=True)
 class Policy:
-    """A trained policy.
+    """A trained policy."""
 
-    Attributes:
-        run: the run that trained it.
-        folder: folder with its files.
-        model: a policy of Stable-Baselines3, `BasePolicy`.
-        normalizer: scales its observations.
-    """
-
-    run: Run
-    folder: Path
-    model: Any
-    normalizer: Normalizer
+    run: Run  # the run that trained it
+    folder: Path  # folder with its files
+    model: Any  # a policy of Stable-Baselines3, `BasePolicy`
+    normalizer: Normalizer  # scales its observations
 
     def act(self, observations: np.ndarray, steps: np.ndarray) -> np.ndarray:
-        """Return the actions, without noise.
-
-        Args:
-            observations: shape (n, ...).
-            steps: number of steps since the episodes began, shape (n,); not used.
-        """
+        """Return the actions, without noise; `steps` are not used."""
         return self.model.predict(self.normalizer(observations), deterministic=True)[0]
 
     def checked(self, env_id: str, env: Any) -> Policy:

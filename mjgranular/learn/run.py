@@ -38,33 +38,25 @@ NORMALIZER = "normalizer.json"
 STATE = "state.json"
 REPLAY = "replay.npz"
 CURVE_COLUMNS = ("steps", "seconds", "episodes", "mean_return", "mean_length")
-_PACKAGES = ("gymnasium", "stable-baselines3", "torch")
+PACKAGES = ("gymnasium", "stable-baselines3", "torch")
+"""Packages that a training depends on; their versions are recorded."""
 _LARGEST_SEED = 2**31 - 1
 _IN_A_CHECKPOINT = (CONFIG, POLICY, NORMALIZER, CURVE, STATE)
-_KEPT = 2  # checkpoints; the older one in case the newer is damaged
 
 
 @dataclass(frozen=True)
 class Run:
-    """A training run on disk.
+    """A training run on disk."""
 
-    Attributes:
-        path: its folder.
-        environment: Gymnasium's id.
-        settings: resolved.
-        seed: all random numbers follow from it.
-        versions: versions of the packages that it was started with.
-        sand: sand of its environment when the run started; None if unknown, as for environments
-            without a MuJoCo model.
-        trusted: whether the user trusts it, so that modules that it names may be imported.
-    """
-
-    path: Path
-    environment: str
-    settings: Settings
-    seed: int
-    versions: dict[str, Any]
+    path: Path  # its folder
+    environment: str  # Gymnasium's id
+    settings: Settings  # resolved
+    seed: int  # all random numbers follow from it
+    versions: dict[str, Any]  # versions of the packages that it was started with
+    # Sand of its environment when the run started; None if unknown, as for environments without a
+    # MuJoCo model
     sand: Sands | None = None
+    # Whether the user trusts it, so that modules that it names may be imported
     trusted: bool = False
 
     @property
@@ -110,11 +102,6 @@ class Run:
         """Return the path of the checkpoint after `steps` steps."""
         return self.path / CHECKPOINTS / f"step-{steps:010d}"
 
-    def remove_old_checkpoints(self) -> None:
-        """Keep the newest two checkpoints."""
-        for folder in self.checkpoints()[_KEPT:]:
-            files.remove_folder(folder)
-
     def extended(self, total_steps: int) -> Run:
         """Return the run with another number of steps, and write that to its folder."""
         longer = replace(self, settings=replace(self.settings, total_steps=total_steps))
@@ -135,7 +122,7 @@ class Run:
 
     def version_names(self) -> str:
         """Return the packages that the run was started with, for messages."""
-        return ", ".join(f"{name} {self.versions.get(name)}" for name in _PACKAGES)
+        return ", ".join(f"{name} {self.versions.get(name)}" for name in PACKAGES)
 
     def warn_of_sand(self, now: Sands | None) -> None:
         """Warn if sand differs from that at the start of the run."""
@@ -163,13 +150,8 @@ class Run:
 def begin_run(path: Path | str, environment: str, settings: Settings, *, seed: int) -> Run:
     """Make the folder of a new run. If two processes try at once, one of them fails.
 
-    The environment is made once, to record its sand.
-
-    Args:
-        path: the folder.
-        environment: Gymnasium's id.
-        settings: resolved.
-        seed: all random numbers follow from it.
+    The environment, by Gymnasium's id, is made once, to record its sand. All random numbers follow
+    from the seed.
 
     Raises:
         OutputError: the folder is not empty, or cannot be written to.
@@ -180,7 +162,7 @@ def begin_run(path: Path | str, environment: str, settings: Settings, *, seed: i
     if not is_text(environment):
         raise InputError(f"environment must be a printable name, got {shown(environment)}")
     sand = sands_made(environment, settings.environment)
-    run = Run(path, environment, settings, seed, current_versions(), sand, trusted=True)
+    run = Run(path, environment, settings, seed, versions(*PACKAGES), sand, trusted=True)
     with files.locked(path):
         files.remove_leftovers(path, (CONFIG,))
         if any(file.name != files.LOCK for file in path.iterdir()):
@@ -194,19 +176,10 @@ def begin_run(path: Path | str, environment: str, settings: Settings, *, seed: i
     return run
 
 
-def current_versions() -> dict[str, Any]:
-    """Return the versions of the packages that a training depends on."""
-    return versions(*_PACKAGES)
-
-
 def open_run(path: Path, *, trust: bool = False) -> Run:
     """Return the run whose `config.json` is in a folder: a run, one of its checkpoints, a policy.
 
-    Nothing in it is executed.
-
-    Args:
-        path: the folder.
-        trust: whether the user trusts the run; see `Run.trusted`.
+    Nothing in it is executed. `trust` says that modules that it names may be imported.
 
     Raises:
         OutputError: the folder holds no run.

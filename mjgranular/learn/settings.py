@@ -6,6 +6,7 @@ import inspect
 import tomllib
 import typing
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
@@ -24,23 +25,13 @@ _MOST_ENVS = 2**16  # chosen
 _LINEAR = "linear_"
 _SCHEDULES = ("learning_rate", "clip_range", "clip_range_vf")  # may fall during the training
 _NOT_SETTINGS = (  # arguments of algorithms that the run determines
-    "self",
-    "policy",
-    "env",
-    "policy_kwargs",
-    "seed",
-    "verbose",
-    "device",
-    "tensorboard_log",
+    "self", "policy", "env", "policy_kwargs", "seed", "verbose", "device", "tensorboard_log",
     "_init_setup_model",
-)
+)  # fmt: skip
 _KINDS: dict[Any, str] = {
-    int: "an integer",
-    float: "a number",
-    bool: "true or false",
-    str: "a string",
+    int: "an integer", float: "a number", bool: "true or false", str: "a string",
     str | None: "a string",
-}
+}  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,7 +77,7 @@ class Settings:
         for name, kind in typing.get_type_hints(type(self)).items():
             value = getattr(self, name)
             if name in _TABLES:
-                if not isinstance(value, Mapping) or not all(map(_is_identifier, value)):
+                if not isinstance(value, Mapping) or not all(str(k).isidentifier() for k in value):
                     raise InputError(f"{name} must be a table of names and values")
             elif name == "net":
                 if not fits(value, kind) or any(width < 1 for width in value):
@@ -159,8 +150,11 @@ def settings_file(env_id: str) -> Path:
 
 def read_settings(file: Path, *, algorithm: str | None = None) -> Settings:
     """Read settings: `algorithm`, a table `[environment]`, and a table for each algorithm."""
-    where = place(file)
-    content = _read_toml(file, where)
+    where, read = place(file), read_file(file, "the settings", largest=_LARGEST_FILE)
+    try:
+        content = tomllib.loads(read.decode())
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{where} is not TOML: {error}") from None
     _check_keys(where, content, ("algorithm", "environment", *ALGORITHMS))
     present = [name for name in ALGORITHMS if name in content]
     name = (algorithm or str(content.get("algorithm", ""))).lower()
@@ -177,14 +171,6 @@ def read_settings(file: Path, *, algorithm: str | None = None) -> Settings:
         return Settings.from_json({**table, "algorithm": name, "environment": environment})
     except InputError as error:
         raise InputError(f"{where}, [{name}]: {error}") from None
-
-
-def _read_toml(file: Path, where: str) -> dict[str, Any]:
-    content = read_file(file, "the settings", largest=_LARGEST_FILE)
-    try:
-        return tomllib.loads(content.decode())
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{where} is not TOML: {error}") from None
 
 
 def change(settings: Settings, changes: Sequence[str] | str) -> Settings:
@@ -234,15 +220,9 @@ def algorithm_class(name: str) -> Any:
 def linear_start(value: object) -> float | None:
     """Return the start of a value that falls to zero: 3e-4 of "linear_3e-4"; None for others."""
     if isinstance(value, str) and value.startswith(_LINEAR):
-        try:
+        with suppress(ValueError):
             return float(value.removeprefix(_LINEAR))
-        except ValueError:
-            return None
     return None
-
-
-def _is_identifier(name: object) -> bool:
-    return isinstance(name, str) and name.isidentifier()
 
 
 def _check_keys(where: str, table: Mapping[str, Any], known: Sequence[str]) -> None:

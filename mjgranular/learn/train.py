@@ -14,19 +14,12 @@ import numpy as np
 from mjgranular._util import files
 from mjgranular._util.extras import require
 from mjgranular._util.result_folder import CONFIG
+from mjgranular._util.versions import versions
 from mjgranular.errors import GranularError, InputError, shown, warn_user
 from mjgranular.learn import environments
 from mjgranular.learn.checkpoint import Progress, load_checkpoint, write_policy
 from mjgranular.learn.policies import load_policy
-from mjgranular.learn.run import (
-    CHECKPOINTS,
-    CURVE,
-    NORMALIZER,
-    POLICY,
-    TENSORBOARD,
-    Run,
-    current_versions,
-)
+from mjgranular.learn.run import CHECKPOINTS, CURVE, NORMALIZER, PACKAGES, POLICY, TENSORBOARD, Run
 from mjgranular.learn.sands import sands_made
 from mjgranular.learn.settings import Settings, algorithm_class, linear_start
 from mjgranular.learn.weights import policy_arguments
@@ -37,25 +30,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Training:
-    """Outcome of a training.
+    """Outcome of a training."""
 
-    Attributes:
-        progress: progress at the end.
-        stopped_by: the signal that ended it early; None if it is finished.
-        began: steps of the checkpoint that it resumed from; 0 for a new run.
-    """
-
-    progress: Progress
-    stopped_by: int | None
-    began: int
+    progress: Progress  # progress at the end
+    stopped_by: int | None  # the signal that ended it early; None if it is finished
+    began: int  # steps of the checkpoint that it resumed from; 0 for a new run
 
 
-def train(
-    run: Run,
-    *,
-    report: Report | None = None,
-    warp: str | None = None,
-) -> Training:
+def train(run: Run, *, report: Report | None = None, warp: str | None = None) -> Training:
     """Train until `total_steps`, from the newest checkpoint if there is one.
 
     SIGTERM or Ctrl-C end it early, with a checkpoint of what was learned so far; a second one ends
@@ -116,7 +98,7 @@ def train(
 
 def _warn_of_versions(run: Run) -> None:
     """Warn if a run resumes with other package versions than it was started with."""
-    now = current_versions()
+    now = versions(*PACKAGES)
     changed = [
         f"{name} {then} (now {now[name]})"
         for name, then in run.versions.items()
@@ -133,10 +115,7 @@ def environments_of(run: Run, *, warp: str | None = None) -> Any:
 
     settings = run.settings
     env = environments.for_training(
-        run.environment,
-        run.arguments,
-        num_envs=settings.num_envs,
-        warp=warp,
+        run.environment, run.arguments, num_envs=settings.num_envs, warp=warp
     )
     vectors = {"observations": env.observation_space}
     if settings.algorithm != "ppo":

@@ -30,21 +30,13 @@ _COUNTERS = ("num_timesteps", "_n_updates", "_episode_num")
 
 @dataclass(frozen=True)
 class Weights:
-    """Content of a file of Stable-Baselines3.
+    """Content of a file of Stable-Baselines3."""
 
-    Attributes:
-        observation_space: Gymnasium space of the observations.
-        action_space: Gymnasium space of the actions.
-        parameters: state dictionaries: "policy", "policy.optimizer", ...
-        variables: further tensors, by name.
-        counters: integers of the algorithm, by name.
-    """
-
-    observation_space: Any
-    action_space: Any
-    parameters: Mapping[str, Any]
-    variables: Mapping[str, Any]
-    counters: Mapping[str, int]
+    observation_space: Any  # Gymnasium space of the observations
+    action_space: Any  # Gymnasium space of the actions
+    parameters: Mapping[str, Any]  # state dictionaries: "policy", "policy.optimizer",
+    variables: Mapping[str, Any]  # further tensors, by name
+    counters: Mapping[str, int]  # integers of the algorithm, by name
 
 
 def read_weights(file: Path) -> Weights:
@@ -129,9 +121,9 @@ def _tensors(content: bytes) -> Any:
 
 def add_spaces(file: Path, model: Any) -> None:
     """Add the spaces of a model to its file, where Stable-Baselines3 ignores them."""
-    spaces = {name: getattr(model, name) for name in ("observation_space", "action_space")}
+    names = ("observation_space", "action_space")
+    described = {name: space_as_json(getattr(model, name)) for name in names}
     with zipfile.ZipFile(file, "a") as archive:
-        described = {name: space_as_json(space) for name, space in spaces.items()}
         archive.writestr(_SPACES, json.dumps(described))
 
 

@@ -8,15 +8,17 @@ from pathlib import Path
 from mjgranular.calibrate import FitResult
 from mjgranular.picture.figures import PALETTE, figure, plain
 
-_AXES = {"time": (1e3, "time since the touch [ms]"), "depth": (1e3, "depth [mm]")}
-_AXES |= {
+_AXES = {
+    "time": (1e3, "time since the touch [ms]"),
+    "depth": (1e3, "depth [mm]"),
     "speed": (1.0, "speed [m/s]"),
     "angle": (1.0, "angle [deg]"),
     "spin": (1.0, "spin [rad/s]"),
     "rate": (1.0, "rate [Hz]"),
 }
-_QUANTITIES = {"depth": (1e3, "depth [mm]"), "pitch": (1.0, "pitch [deg]")}
-_QUANTITIES |= {
+_QUANTITIES = {
+    "depth": (1e3, "depth [mm]"),
+    "pitch": (1.0, "pitch [deg]"),
     "force": (1.0, "force [N]"),
     "side": (1.0, "side force [N]"),
     "lift": (1.0, "lift [N]"),

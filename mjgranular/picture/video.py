@@ -42,24 +42,16 @@ Frames = tuple[int, Iterator[np.ndarray]]
 
 @dataclass(frozen=True)
 class Film:
-    """Options of a film.
+    """Options of a film."""
 
-    Attributes:
-        camera: name of a camera of the model.
-        width: width of the picture [pixels]; even.
-        height: height of the picture [pixels]; even.
-        fps: frames per second.
-        seconds: duration of the film of the impact, from release to the stop [s]; the rest of the
-            run, if any, takes as long again.
-        hold: duration of the last frame [s].
-    """
-
-    camera: str = "side"
-    width: int = 640
-    height: int = 480
-    fps: float = 30
+    camera: str = "side"  # name of a camera of the model
+    width: int = 640  # width of the picture [pixels]; even
+    height: int = 480  # height of the picture [pixels]; even
+    fps: float = 30  # frames per second
+    # Duration of the film of the impact, from release to the stop [s]; the rest of the run, if any,
+    # takes as long again
     seconds: float = 5.0
-    hold: float = 1.0
+    hold: float = 1.0  # duration of the last frame [s]
 
     def __post_init__(self) -> None:
         for name, limit in (("width", 1920), ("height", 1080)):
@@ -83,19 +75,12 @@ class Film:
 
 @dataclass(frozen=True)
 class Motion:
-    """Data of a run of any model for a film.
+    """Data of a run of any model for a film."""
 
-    Attributes:
-        t: times [s], shape (n,).
-        qpos: shape (n, nq).
-        point: points where forces act [m], shape (n, bodies, 3).
-        force: [N], shape (n, bodies, 3).
-    """
-
-    t: np.ndarray
-    qpos: np.ndarray
-    point: np.ndarray
-    force: np.ndarray
+    t: np.ndarray  # times [s], shape (n,)
+    qpos: np.ndarray  # shape (n, nq)
+    point: np.ndarray  # points where forces act [m], shape (n, bodies, 3)
+    force: np.ndarray  # [N], shape (n, bodies, 3)
 
 
 def check_camera(model: mujoco.MjModel, camera: str) -> None:
@@ -229,7 +214,7 @@ def _render(
                     add_arrow(renderer.scene, tail, tip, _WIDTH * view.radius)
                 shown, picture = now, renderer.render()
             total = float(np.linalg.norm(motion.force[k].sum(axis=0)))
-            pace = "real time" if slower < 1.05 else f"slowed down {_two_digits(slower)}x"
+            pace = "real time" if slower < 1.05 else f"slowed down {float(f'{slower:.2g}'):g}x"
             clock = f"{time * 1e3:.2f} ms" if times[-1][0] < _SHORT else f"{time:.3f} s"
             text = f"t = {clock}\nforce of the sand = {total:.0f} N\n{pace}"
             yield _captioned(picture, text, font)
@@ -252,10 +237,6 @@ def _captioned(picture: np.ndarray, text: str, font: Any) -> np.ndarray:
         align="right",
     )
     return np.asarray(image)
-
-
-def _two_digits(value: float) -> str:
-    return f"{float(f'{value:.2g}'):g}"
 
 
 def need_mediapy(purpose: str) -> Any:

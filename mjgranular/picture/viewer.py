@@ -28,15 +28,10 @@ _FILM = "`mjgranular drop MODEL.xml --out DIR --video` films a run without one"
 
 @dataclass
 class Switch:
-    """What the user changes while a simulation runs.
+    """What the user changes while a simulation runs."""
 
-    Attributes:
-        held: whether it is paused.
-        speed: simulated time over real time.
-    """
-
-    held: bool = False
-    speed: float = 1.0
+    held: bool = False  # whether it is paused
+    speed: float = 1.0  # simulated time over real time
 
     def press(self, key: int) -> None:
         """React to a key."""
@@ -103,14 +98,8 @@ def follow(
 ) -> None:
     """Step a simulation in real time, and show it, until the viewer is closed.
 
-    If steps are slower than real time, the simulation slows down, and stays responsive.
-
-    Args:
-        viewer: a handle from `mujoco.viewer.launch_passive`.
-        model: the model.
-        data: its data.
-        switch: pauses the simulation, and sets its speed.
-        duration: simulated time after which to end [s]; None for never.
+    If steps are slower than real time, the simulation slows down, and stays responsive. The viewer
+    is a handle from `mujoco.viewer.launch_passive`; `duration` is the time after which to end [s].
     """
     opening = start = time.perf_counter()
     begin = last = data.time

@@ -72,19 +72,13 @@ def paint(geom: mujoco.MjsGeom, material: str) -> None:
 
 @dataclass(frozen=True)
 class SandMaterial:
-    """Appearance of a plane of sand in a model.
+    """Appearance of a plane of sand in a model."""
 
-    Attributes:
-        material: id of its material; -1 for none.
-        picture: id of the grain texture; -1 for none.
-        unit: unit of `TILES`, and edge of the texture [m]; the rectangles follow the model in these
-            steps.
-        lowered: how far the rectangles are below the surface, if ground of the model is in it [m].
-    """
-
-    material: int
-    picture: int
+    material: int  # id of its material; -1 for none
+    picture: int  # id of the grain texture; -1 for none
+    # Unit of `TILES`, and edge of the texture [m]; the rectangles follow the model in these steps
     unit: float
+    # How far the rectangles are below the surface, if ground of the model is in it [m]
     lowered: float
 
     @classmethod
@@ -102,12 +96,7 @@ class SandMaterial:
         ground = _ground_at(model, normal, offset, hair)
         if any(not (model.geom_contype[geom] or model.geom_conaffinity[geom]) for geom in ground):
             return None
-        return cls(
-            material=found,
-            picture=texture_of(model, found),
-            unit=2 * radius,
-            lowered=hair if ground else 0.0,
-        )
+        return cls(found, texture_of(model, found), 2 * radius, hair if ground else 0.0)
 
     @property
     def rgba(self) -> np.ndarray:

@@ -79,10 +79,8 @@ def add_skin(
 
 def skin_of(model: mujoco.MjModel, sand: str = "sand") -> int:
     """Return the id of the skin of a sand of that name; -1 for none."""
-    for number in range(model.nskin):
-        if model.skin(number).name.replace(f"{SKIN} ", "") == sand:
-            return number
-    return -1
+    names = [model.skin(number).name.replace(f"{SKIN} ", "") for number in range(model.nskin)]
+    return names.index(sand) if sand in names else -1
 
 
 def _faces(lines: int) -> np.ndarray:

@@ -32,11 +32,6 @@ class Region:
     bottom: float = 0.0
 
 
-def relief_of_base(base: Surface, memory: Memory) -> Relief:
-    """Return a surface with memory for drawings, which do not depend on the surroundings."""
-    return Relief(base, memory, memory.surroundings or memory.cell)
-
-
 def make_canvas(
     record: np.ndarray, memory: Memory, unit: float, region: Region | None = None
 ) -> np.ndarray:
@@ -83,7 +78,8 @@ class TrackMesh:
         unit: float,
         region: Region | None = None,
     ) -> None:
-        relief = relief_of_base(base, memory)
+        # Drawings do not depend on the surroundings.
+        relief = Relief(base, memory, memory.surroundings or memory.cell)
         self._record = record = relief.record(model)
         self._shape = entry(shape_of(relief, record["base"].dtype), SIGNATURE)
         self._skin, self._unit = skin_of(model), unit

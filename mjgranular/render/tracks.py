@@ -19,18 +19,12 @@ _STEPS = 1e-3  # of a cell: a smaller change is not stored
 
 @dataclass(frozen=True)
 class Tracks:
-    """Heights of the sand at some instants of a run, as changes from one to the next.
+    """Heights of the sand at some instants of a run, as changes from one to the next."""
 
-    Attributes:
-        t: the instants [s], shape (n,).
-        end: number of changes up to each instant, included, shape (n,).
-        node: changed node (i, j), shape (m, 2), int32.
-        height: height of the sand over the surface there, from then on [m], shape (m,), float32.
-    """
-
-    t: np.ndarray
-    end: np.ndarray
-    node: np.ndarray
+    t: np.ndarray  # the instants [s], shape (n,)
+    end: np.ndarray  # number of changes up to each instant, included, shape (n,)
+    node: np.ndarray  # changed node (i, j), shape (m, 2), int32
+    # Height of the sand over the surface there, from then on [m], shape (m,), float32
     height: np.ndarray
 
     @staticmethod

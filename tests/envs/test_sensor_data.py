@@ -55,7 +55,7 @@ def environment(tmp_path):
 def test_observed_sensors_are_the_environments_own(environment, monkeypatch):
     import mjgranular.envs.robots as robots
 
-    monkeypatch.setattr(robots, "load_env_creator", lambda _: Sensing)
+    monkeypatch.setattr(robots, "creator_of", lambda _: Sensing)
     env = on_sand(environment)
     bare = env.unwrapped
     observation, info = env.reset(seed=0)

@@ -21,7 +21,7 @@ from mjgranular import InputError, Plane, RenderError, Sand, UnknownNameError
 from mjgranular.envs import SandEnv, on_sand, tasks
 from mjgranular.envs.gaits import gait, gaits
 from mjgranular.envs.ground import RIGID
-from mjgranular.envs.gym_planar import Hopper
+from mjgranular.envs.gym_robots import Hopper
 from mjgranular.envs.ids import id_of
 from mjgranular.law.validity import findings_of, found_at
 from mjgranular.models import Link

@@ -8,7 +8,7 @@ import pytest
 
 from mjgranular import InputError
 from mjgranular.envs import SandRanges, SandVectorEnv
-from mjgranular.envs.gym_planar import Hopper
+from mjgranular.envs.gym_robots import Hopper
 
 pytestmark = pytest.mark.slow
 pytest.importorskip("mujoco_warp")

@@ -13,10 +13,8 @@ from mjgranular import MissingExtraError, OutputError, Sand, add_sand, errors
 from mjgranular.cli import main
 from mjgranular.experiment.drop import Drop
 from mjgranular.models import model_path
-from mjgranular.picture.elements import draw_elements
-from mjgranular.picture.outlines import area_vectors, facet_corners, polygons_of
-from mjgranular.picture.shown import Shown, kind_of
-from mjgranular.picture.solids import GAP, add_elements, facet_bodies
+from mjgranular.picture.elements import GAP, add_elements, draw_elements, facet_bodies
+from mjgranular.picture.shown import Shown, area_vectors, facet_corners, kind_of, polygons_of
 
 FOOT = """
 <mujoco><worldbody><body name="foot" pos="0.1 0 0"><freejoint/>

@@ -10,6 +10,7 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import gymnasium as gym
@@ -28,7 +29,7 @@ from mjgranular.errors import (
     OutputError,
     UnknownNameError,
 )
-from mjgranular.learn.agents import Random, Zero
+from mjgranular.learn.agents import make_baseline
 from mjgranular.learn.checkpoint import Normalizer
 from mjgranular.learn.evaluate import evaluate, mean_of, parse_variant, run_episodes
 from mjgranular.learn.policies import POLICY_FILES, load_policy
@@ -397,7 +398,9 @@ def test_the_interval_is_students():
 
 def test_episodes_are_those_of_the_single_environment():
     seeds = [11, 12, 13]
-    several = run_episodes("CartPole-v1", {}, lambda env: Zero(env.single_action_space), seeds)
+    several = run_episodes(
+        "CartPole-v1", {}, lambda env: make_baseline("zero", "CartPole-v1", env), seeds
+    )
     for k, seed in enumerate(seeds):
         env = gym.make("CartPole-v1")
         env.reset(seed=seed)
@@ -410,7 +413,7 @@ def test_episodes_are_those_of_the_single_environment():
 
 def test_figures_of_info_are_means_over_the_episode():
     score = evaluate(
-        "random", lambda env: Random(env.single_action_space), "Swimmer-v5", {}, seeds=2
+        "random", lambda env: make_baseline("random", "Swimmer-v5", env), "Swimmer-v5", {}, seeds=2
     )
     reached = score.episodes.figures["x_velocity"] * 1000 * 0.04  # steps of 0.04 s
     assert score.figure("nothing") is None
@@ -423,8 +426,10 @@ def test_figures_of_info_are_means_over_the_episode():
 
 def test_baselines():
     box = gym.spaces.Box(np.array([-1.0, 2.0]), np.array([1.0, 3.0]), dtype=np.float64)
-    assert Zero(box).act(np.zeros((2, 1)), np.zeros(2)).tolist() == [[0, 2], [0, 2]]
-    assert Random(box).act(np.zeros((4, 1)), np.zeros(4)).shape == (4, 2)
+    env = SimpleNamespace(action_space=box)
+    zero, drawn = (make_baseline(name, "Box-v0", env) for name in ("zero", "random"))
+    assert zero.act(np.zeros((2, 1)), np.zeros(2)).tolist() == [[0, 2], [0, 2]]
+    assert drawn.act(np.zeros((4, 1)), np.zeros(4)).shape == (4, 2)
 
 
 # Settings

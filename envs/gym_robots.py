@@ -1,7 +1,8 @@
-"""Gymnasium's planar robots as tasks: Hopper, Walker2d, HalfCheetah, Swimmer."""
+"""Gymnasium's robots as tasks: Hopper, Walker2d, HalfCheetah, Swimmer, Ant, Humanoid."""
 
 from __future__ import annotations
 
+import inspect
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,6 +21,17 @@ from mjgranular.envs.task import Start, State, Task
 
 ASSETS = Path(gymnasium.envs.mujoco.__file__).parent / "assets"
 
+_AS_THERE = {
+    "Description": "",
+    "Action Space": "",
+    "Observation Space": "",
+    "Rewards": "`reward_forward` + `reward_survive` + `reward_ctrl`, as in `{}-v5`.",
+    "Starting State": "As in `{}-v5`.",
+    "Episode End": "Terminated when unhealthy, as in `{}-v5`. Truncated after 1000 steps.",
+    "Arguments": "Those of `{}-v5` but `xml_file` and those of cameras, and those of `Task`.",
+    "Version History": "v0: first.",
+}
+
 
 def place_in_plane(state: State) -> dict[str, np.ndarray]:
     """Return positions of robots over a plane, as in Gymnasium [m], each of shape (n,)."""
@@ -35,7 +47,8 @@ def place_in_plane(state: State) -> dict[str, np.ndarray]:
 class Robot(Task):
     """A Gymnasium robot: model, observation, reward and options.
 
-    A test checks that each is bit-identical to `on_sand` of the same robot.
+    A test checks that each is bit-identical to `on_sand` of the same robot. Its docstring has the
+    sections of its specification that differ from `_AS_THERE`.
     """
 
     xml: ClassVar[str]
@@ -47,6 +60,14 @@ class Robot(Task):
     forward_reward_weight: float = 1.0
     reset_noise_scale: float = 5e-3
     exclude_current_positions_from_observation: bool = True
+
+    def __init_subclass__(cls) -> None:
+        title, *sections = inspect.cleandoc(cls.__doc__ or "").split("\n\n## ")
+        if sections:
+            own = dict(section.split("\n", 1) for section in sections)
+            theirs = {head: text.format(cls.__name__) for head, text in _AS_THERE.items()}
+            lines = [f"## {head}\n{own.get(head, text)}" for head, text in theirs.items()]
+            cls.__doc__ = "\n\n".join([title, *lines])
 
     def robot(self) -> mujoco.MjSpec:
         with quiet():
@@ -155,21 +176,12 @@ class Hopper(_Legged):
     ## Observation Space
     `Box(-inf, inf, (11,), float64)`: positions but x, and velocities.
 
-    ## Rewards
-    `reward_forward` + `reward_survive` + `reward_ctrl`, as in `Hopper-v5`.
-
     ## Starting State
     As in `Hopper-v5`, its foot 4 cm over the sand.
 
     ## Episode End
     Terminated when unhealthy, as in `Hopper-v5`: the foot sinks in by a few centimetres, while the
     healthy range ends 0.5 m below the start. Truncated after 1000 steps.
-
-    ## Arguments
-    Those of `Hopper-v5` but `xml_file` and those of cameras, and those of `Task`.
-
-    ## Version History
-    v0: first.
     """
 
     title: ClassVar[str] = "Gymnasium's Hopper on sand"
@@ -200,20 +212,8 @@ class Walker2d(_Legged):
     ## Observation Space
     `Box(-inf, inf, (17,), float64)`: positions but x, and velocities.
 
-    ## Rewards
-    `reward_forward` + `reward_survive` + `reward_ctrl`, as in `Walker2d-v5`.
-
     ## Starting State
     As in `Walker2d-v5`, its feet 4 cm over the sand.
-
-    ## Episode End
-    Terminated when unhealthy, as in `Walker2d-v5`. Truncated after 1000 steps.
-
-    ## Arguments
-    Those of `Walker2d-v5` but `xml_file` and those of cameras, and those of `Task`.
-
-    ## Version History
-    v0: first.
     """
 
     title: ClassVar[str] = "Gymnasium's Walker2d on sand"
@@ -243,17 +243,8 @@ class HalfCheetah(Robot):
     ## Rewards
     `reward_forward` + `reward_ctrl`, as in `HalfCheetah-v5`.
 
-    ## Starting State
-    As in `HalfCheetah-v5`.
-
     ## Episode End
     Never terminated. Truncated after 1000 steps.
-
-    ## Arguments
-    Those of `HalfCheetah-v5` but `xml_file` and those of cameras, and those of `Task`.
-
-    ## Version History
-    v0: first.
     """
 
     title: ClassVar[str] = "Gymnasium's HalfCheetah on sand"
@@ -296,17 +287,8 @@ class Swimmer(HalfCheetah):
     ## Rewards
     `reward_forward` + `reward_ctrl`, as in `Swimmer-v5`.
 
-    ## Starting State
-    As in `Swimmer-v5`.
-
     ## Episode End
     Never terminated. Truncated after 1000 steps.
-
-    ## Arguments
-    Those of `Swimmer-v5` but `xml_file` and those of cameras, and those of `Task`.
-
-    ## Version History
-    v0: first.
     """
 
     title: ClassVar[str] = "Gymnasium's Swimmer, buried in sand"
@@ -337,4 +319,207 @@ class Swimmer(HalfCheetah):
         return {
             "x_velocity": self.speed(before, state),
             "y_velocity": (state.qpos[:, 1] - before[:, 1]) / self.dt,
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Spatial(Standing):
+    """Base of Ant and Humanoid: free in space, with the same terms of reward and cost."""
+
+    hidden: ClassVar[int] = 2
+
+    ctrl_cost_weight: float = 0.5
+    contact_cost_weight: float = 5e-4
+    include_cfrc_ext_in_observation: bool = True
+    frame_skip: int = 5
+
+    def robot(self) -> mujoco.MjSpec:
+        spec = super().robot()
+        # MuJoCo computes `cfrc_ext` only if a sensor needs it.
+        site = spec.body("torso").add_site(name="needs cfrc_ext")
+        spec.add_sensor(
+            name=site.name,
+            type=mujoco.mjtSensor.mjSENS_FORCE,
+            objtype=mujoco.mjtObj.mjOBJ_SITE,
+            objname=site.name,
+        )
+        return spec
+
+    def raise_by(self, qpos: np.ndarray, height: Callable[[float, float], float]) -> None:
+        reach = (-0.6, 0.0, 0.6)  # [m]; chosen: the robots are about a meter across
+        qpos[2] += max(height(float(qpos[0]) + x, float(qpos[1]) + y) for x in reach for y in reach)
+
+    def total(self, terms: dict[str, np.ndarray]) -> np.ndarray:
+        costs = terms["reward_ctrl"] + terms["reward_contact"]
+        return terms["reward_forward"] + terms["reward_survive"] + costs
+
+    def where(self, state: State) -> np.ndarray:
+        """Return the position whose speed is rewarded, shape (n, 2)."""
+        raise NotImplementedError
+
+    def here(self, state: State) -> np.ndarray:
+        """Return `where`, computed once."""
+        return self.once(state, "where", self.where)
+
+    def mark(self, state: State) -> np.ndarray:
+        return np.array(self.where(state))
+
+    def speed(self, before: np.ndarray, state: State) -> np.ndarray:
+        return (self.here(state)[:, 0] - before[:, 0]) / self.dt
+
+    def place(self, state: State) -> dict[str, np.ndarray]:
+        return place_in_plane(state)
+
+    def progress(self, before: Any, state: State) -> dict[str, np.ndarray]:
+        x, y = ((self.here(state) - before) / self.dt).T
+        return {"x_velocity": x, "y_velocity": y}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ant(_Spatial):
+    """Run on sand on four legs.
+
+    ## Description
+    Gymnasium's `Ant-v5` on Quikrete medium sand. What is not said here is as there;
+    `mjgranular.envs.on_sand` says what sand changes.
+
+    ## Action Space
+    `Box(-1, 1, (8,), float32)`: torques at hips and ankles.
+
+    ## Observation Space
+    `Box(-inf, inf, (105,), float64)`: positions but x and y, velocities, and `cfrc_ext` of each
+    body, clipped as there, with the sand's forces in it.
+
+    ## Rewards
+    `reward_forward` + `reward_survive` + `reward_ctrl` + `reward_contact`, as in `Ant-v5`; the
+    contact cost is that of the sand's forces.
+
+    ## Arguments
+    Those of `Ant-v5` but `xml_file`, `main_body` and those of cameras, and those of `Task`.
+    """
+
+    title: ClassVar[str] = "Gymnasium's Ant on sand"
+    xml: ClassVar[str] = "ant.xml"
+    gaussian: ClassVar[bool] = True
+    reads: ClassVar[tuple[str, ...]] = ("xpos", "cfrc_ext")
+    camera: ClassVar[dict[str, Any]] = {"trackbodyid": 1, "distance": 4.0, "elevation": -20.0}
+
+    reset_noise_scale: float = 0.1
+    healthy_z_range: tuple[float, float] = (0.2, 1.0)
+    contact_force_range: tuple[float, float] = (-1.0, 1.0)
+
+    def healthy(self, state: State) -> np.ndarray:
+        low, high = self.healthy_z_range
+        finite = np.isfinite(state.qpos).all(axis=1) & np.isfinite(state.qvel).all(axis=1)
+        return finite & (low <= state.qpos[:, 2]) & (state.qpos[:, 2] <= high)
+
+    def where(self, state: State) -> np.ndarray:
+        return state.xpos[:, 1, :2]
+
+    def felt(self, state: State) -> np.ndarray:
+        """Return clipped forces on the bodies, shape (n, 6 nbody)."""
+        limits, size = self.contact_force_range, len(state.qpos)
+        return self.once(
+            state, "felt", lambda state: np.clip(state.cfrc_ext, *limits).reshape(size, -1)
+        )
+
+    def observe(self, state: State) -> np.ndarray:
+        parts = [self.seen(state.qpos), state.qvel]
+        if self.include_cfrc_ext_in_observation:
+            parts.append(self.felt(state)[:, 6:])
+        return np.concatenate(parts, axis=1)
+
+    def rewards(self, before: Any, action: np.ndarray, state: State) -> dict[str, np.ndarray]:
+        contact = self.contact_cost_weight * np.square(self.felt(state)).sum(axis=1)
+        return {
+            "reward_forward": self.speed(before, state) * self.forward_reward_weight,
+            "reward_survive": self.stands(state) * self.healthy_reward,
+            "reward_ctrl": -(self.ctrl_cost_weight * np.square(action).sum(axis=1)),
+            "reward_contact": -contact,
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
+class Humanoid(_Spatial):
+    """Walk on sand on two legs.
+
+    ## Description
+    Gymnasium's `Humanoid-v5` on Quikrete medium sand. What is not said here is as there;
+    `mjgranular.envs.on_sand` says what sand changes.
+
+    ## Action Space
+    `Box(-0.4, 0.4, (17,), float32)`: torques at the joints.
+
+    ## Observation Space
+    `Box(-inf, inf, (348,), float64)`: as in `Humanoid-v5`; `cfrc_ext` has the sand's forces in it
+    beside those of contacts between limbs.
+
+    ## Rewards
+    `reward_forward` + `reward_survive` + `reward_ctrl` + `reward_contact`, as in `Humanoid-v5`.
+    """
+
+    title: ClassVar[str] = "Gymnasium's Humanoid on sand"
+    xml: ClassVar[str] = "humanoid.xml"
+    reads: ClassVar[tuple[str, ...]] = (
+        "xipos", "cinert", "cvel", "qfrc_actuator", "cfrc_ext", "ten_length", "ten_velocity",
+    )  # fmt: skip
+    camera: ClassVar[dict[str, Any]] = {
+        "trackbodyid": 1, "distance": 4.0, "lookat": (0.0, 0.0, 2.0), "elevation": -20.0,
+    }  # fmt: skip
+
+    forward_reward_weight: float = 1.25
+    ctrl_cost_weight: float = 0.1
+    contact_cost_weight: float = 5e-7
+    healthy_reward: float = 5.0
+    reset_noise_scale: float = 1e-2
+    contact_cost_range: tuple[float, float] = (-math.inf, 10.0)
+    healthy_z_range: tuple[float, float] = (1.0, 2.0)
+    include_cinert_in_observation: bool = True
+    include_cvel_in_observation: bool = True
+    include_qfrc_actuator_in_observation: bool = True
+
+    @cached_property
+    def _mass(self) -> tuple[np.ndarray, float]:
+        return self.model.body_mass, self.model.body_mass.sum()
+
+    def healthy(self, state: State) -> np.ndarray:
+        low, high = self.healthy_z_range
+        return (low < state.qpos[:, 2]) & (state.qpos[:, 2] < high)
+
+    def where(self, state: State) -> np.ndarray:
+        masses, whole = self._mass
+        # One by one: a product of all at once is rounded differently from Gymnasium's.
+        centres = [np.einsum("b,bj->j", masses, places) / whole for places in state.xipos]
+        return np.stack(centres)[:, :2]
+
+    def observe(self, state: State) -> np.ndarray:
+        parts = [self.seen(state.qpos), state.qvel]
+        count = len(state.qpos)
+        if self.include_cinert_in_observation:
+            parts.append(state.cinert[:, 1:].reshape(count, -1))
+        if self.include_cvel_in_observation:
+            parts.append(state.cvel[:, 1:].reshape(count, -1))
+        if self.include_qfrc_actuator_in_observation:
+            parts.append(state.qfrc_actuator[:, 6:])
+        if self.include_cfrc_ext_in_observation:
+            parts.append(state.cfrc_ext[:, 1:].reshape(count, -1))
+        return np.concatenate(parts, axis=1)
+
+    def rewards(self, before: Any, action: np.ndarray, state: State) -> dict[str, np.ndarray]:
+        forces = state.cfrc_ext.reshape(len(state.qpos), -1)
+        contact = np.clip(
+            self.contact_cost_weight * np.square(forces).sum(axis=1), *self.contact_cost_range
+        )
+        effort = np.square(action.astype(float)).sum(axis=1)
+        return {
+            "reward_forward": self.forward_reward_weight * self.speed(before, state),
+            "reward_survive": self.stands(state) * self.healthy_reward,
+            "reward_ctrl": -(self.ctrl_cost_weight * effort),
+            "reward_contact": -contact,
+        }
+
+    def place(self, state: State) -> dict[str, np.ndarray]:
+        return super().place(state) | {
+            "tendon_length": np.array(state.ten_length),
+            "tendon_velocity": np.array(state.ten_velocity),
         }
