@@ -14,8 +14,7 @@ from mjgranular.errors import InputError, UnknownNameError
 from mjgranular.kernel.engine import library
 from mjgranular.law import Law
 from mjgranular.medium import Medium
-from mjgranular.relief.heights import Heights, heights_of
-from mjgranular.relief.memory import Memory, as_memory
+from mjgranular.relief.memory import Heights, Memory, as_memory, heights_of
 from mjgranular.relief.relief import place_in_plane
 from mjgranular.sand.chosen import geoms_in_sand
 from mjgranular.sand.material import material_of

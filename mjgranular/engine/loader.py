@@ -23,12 +23,11 @@ from mujoco.introspect.ast_nodes import PointerType
 
 from mjgranular._util.names import name_of
 from mjgranular.engine import sensor
-from mjgranular.engine.block import HEADER_DTYPE, NO_PASSIVE, make_image
+from mjgranular.engine.block import HEADER_DTYPE, NO_PASSIVE, NO_RELOCATIONS, Image, make_image
 from mjgranular.engine.config import DRAWINGS, KEYS, named, read_config
 from mjgranular.engine.handles import HandleTable
 from mjgranular.engine.instances import NAME, config_texts, instance_name, plugin_slot
 from mjgranular.engine.measures import SENSOR, SENSOR_KEYS
-from mjgranular.engine.relocation import NO_RELOCATIONS, Image
 from mjgranular.engine.tuning import NO_TUNINGS, STATE_SIZE, make_tunings
 from mjgranular.errors import InputError, UnknownNameError
 from mjgranular.kernel.compiled import program_address

@@ -27,9 +27,13 @@ from mjgranular.relief.grid import (
     SETTLED,
     UNDER,
     UNMARKED,
+    activate,
     add_height,
     base_at,
     base_beside,
+    claim,
+    count_at,
+    listed_at,
     mark_at,
     node_of,
     own_mark,
@@ -38,7 +42,6 @@ from mjgranular.relief.grid import (
     start_of,
     wrapped,
 )
-from mjgranular.relief.lists import activate, claim, count_at, listed_at
 from mjgranular.relief.press import has_edges, is_sand
 
 REST = 5e-3

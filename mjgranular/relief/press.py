@@ -22,11 +22,16 @@ from mjgranular.relief.grid import (
     UNDER,
     UNMARKED,
     WAITING,
+    activate,
     add_height,
     base_at,
     base_beside,
     base_of,
+    claim,
     corner_of,
+    count_at,
+    cover,
+    listed_at,
     mark_at,
     node_of,
     own_mark,
@@ -34,7 +39,6 @@ from mjgranular.relief.grid import (
     start_of,
     wrapped,
 )
-from mjgranular.relief.lists import activate, claim, count_at, cover, listed_at
 
 LEAST = 0.1
 """Least height that is pressed down at once, relative to the slack, within which force does not

@@ -40,8 +40,10 @@ from mjgranular.relief.grid import (
     SINCE_FLOWED,
     SINCE_PRESSED,
     WAITING,
+    begin_covering,
+    count_at,
+    end_covering,
 )
-from mjgranular.relief.lists import begin_covering, count_at, end_covering
 from mjgranular.relief.press import bottom_of, heap, lowest_of, press_kernel
 from mjgranular.relief.probe import level_kernel, state_length
 from mjgranular.relief.relief import Relief

@@ -35,9 +35,8 @@ from mjgranular.sand.cost import MANY, Cost, coarser
 from mjgranular.sand.material import DEFAULT_MEDIUM, law_named_in
 from mjgranular.sand.spec import SandSpec
 from mjgranular.scheme import Scheme
-from mjgranular.shape.budget import FACETS
 from mjgranular.shape.select import body_name, collides, is_choice, mocap_above, moves
-from mjgranular.shape.sizes import LARGEST, geom_name, geom_width, half_extents
+from mjgranular.shape.sizes import FACETS, LARGEST, geom_name, geom_width, half_extents
 from mjgranular.surface import Bed, HeightField, Plane, Surface
 from mjgranular.surface.floors import (
     CARRIES,

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mjgranular.scheme import Explicit, Scheme
-from mjgranular.shape.budget import RESOLUTION
+from mjgranular.shape.sizes import RESOLUTION
 
 MANY = 20_000
 """Number of elements above which a warning is given. Chosen: with all of them in the sand a step

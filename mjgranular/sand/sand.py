@@ -20,8 +20,7 @@ from mjgranular.kernel.options import NO_GRAVITY
 from mjgranular.law import Law
 from mjgranular.medium import Medium
 from mjgranular.relief.grid import TIME
-from mjgranular.relief.heights import Heights, checked_state, heights_of
-from mjgranular.relief.memory import Memory
+from mjgranular.relief.memory import Heights, Memory, checked_state, heights_of
 from mjgranular.relief.relief import Relief, place_in_plane
 from mjgranular.sand import advice
 from mjgranular.sand.binding import Binding, bind

@@ -1,6 +1,6 @@
 """Sand as a damping matrix of each body, at the predicted velocity at the end of the step.
 
-Each element has a symmetric matrix C for the velocity of its point (`warp.resistance`). The
+Each element has a symmetric matrix C for the velocity of its point (`warp.motions`). The
 elements of a body sum to a 6 x 6 matrix for its spatial velocity (`warp.motions`). In joint space h
 J^T C J has the sparsity of the inertia matrix, and MuJoCo Warp solves with the sum of both.
 
@@ -34,11 +34,12 @@ from mjgranular.warp.motions import (
     bounded,
     motion_of,
     moved,
+    resistance_of,
+    secant_of,
     spatial,
     velocity_at,
     wrench_of,
 )
-from mjgranular.warp.resistance import resistance_of, secant_of
 from mjgranular.warp.translate import struct_of, translated
 
 _STILL = 1e-3

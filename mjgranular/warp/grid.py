@@ -16,7 +16,11 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from mjgranular.warp.structs import struct
+
+def struct(name: str, fields: dict[str, Any]) -> Any:
+    """Make a Warp struct."""
+    return wp.struct(type(name, (), {"__annotations__": fields, "__module__": __name__}))
+
 
 Grid = struct(
     "Grid",

@@ -10,8 +10,7 @@ import warp as wp
 
 from mjgranular.relief.relief import Relief, relief_dtype
 from mjgranular.surface import Surface
-from mjgranular.warp.grid import Grid
-from mjgranular.warp.structs import struct
+from mjgranular.warp.grid import Grid, struct
 from mjgranular.warp.translate import MATRIX_2X3, struct_of
 
 _UNREAD = ("points", "spheres", "feet")  # addresses that no kernel reads on a device

@@ -16,8 +16,7 @@ from mjgranular.law import make_scene
 from mjgranular.law.law import get_law
 from mjgranular.medium import Medium, get_medium
 from mjgranular.relief.footprint import fitting
-from mjgranular.relief.heights import Heights
-from mjgranular.relief.memory import as_memory
+from mjgranular.relief.memory import Heights, as_memory
 from mjgranular.relief.relief import Relief, place_in_plane
 from mjgranular.sand.chosen import choose_sand, kernel_under, remembering
 from mjgranular.sand.spec import SandFields, SandSpec, combined
@@ -33,7 +32,15 @@ from mjgranular.warp.damping import (
     warm_start,
     wrenches_of_step,
 )
-from mjgranular.warp.fit import check_model, check_no_plugins, slots_of, slots_of_dofs, up_of
+from mjgranular.warp.fit import (
+    check_model,
+    check_no_plugins,
+    check_room,
+    check_room_to_remember,
+    slots_of,
+    slots_of_dofs,
+    up_of,
+)
 from mjgranular.warp.memory import WarpMemory
 from mjgranular.warp.motions import Damping, Slot
 from mjgranular.warp.records import (
@@ -42,7 +49,6 @@ from mjgranular.warp.records import (
     surface_on_device,
     to_device,
 )
-from mjgranular.warp.room import check_room, check_room_to_remember
 
 SOFTNESS = 1e-6
 """Speed over which rest is softened [m/s]. Chosen: bodies at rest move at about this speed; single

@@ -24,7 +24,7 @@ from mjgranular.law.kernel import Level, Pose
 from mjgranular.relief import grid, probe
 from mjgranular.surface import height_field
 from mjgranular.warp import grid as grid_of_worlds
-from mjgranular.warp.structs import struct
+from mjgranular.warp.grid import struct
 
 MATRIX_2X3 = wp.types.matrix(shape=(2, 3), dtype=wp.float32)
 """Two vectors: the half edges of a facet."""
