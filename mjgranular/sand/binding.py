@@ -8,7 +8,6 @@ import mujoco
 import numpy as np
 
 from mjgranular.errors import InputError
-from mjgranular.kernel.memory import simulation_table
 from mjgranular.kernel.options import options_address
 from mjgranular.kernel.records import BODY_DTYPE, CONTACT_DTYPE
 from mjgranular.kernel.snapshot import Snapshot
@@ -61,7 +60,7 @@ def bind(
         row["last_dof"] = last_dof(model, int(body))
     bodies["last_wrench"] = np.nan  # NaN equals nothing: the first rows found are the user's
     contacts = np.zeros(len(elements), CONTACT_DTYPE)
-    snapshot = Snapshot.of(model, data)
+    snapshot = Snapshot(model, data)
     # As passive forces, they are computed at any stage of the integrator.
     anywhere = within and not scheme.whole_state
     workspace = scheme.workspace(model, data, elements, sand.kernel, within=within)
@@ -71,22 +70,34 @@ def bind(
     if sand.footprint is not None:
         scene = scene.copy()
         scene["surface"]["state"] = state.ctypes.data
-    table = simulation_table(
-        model,
-        data,
-        packed=sand.packed,
-        count=len(elements),
-        bodies=bodies,
-        scene=scene,
-        contacts=contacts,
-        spans=snapshot.spans,
-        workspace=workspace.record,
-        options=options_address(model),
-        integrators=EVERY_INTEGRATOR if anywhere else bits_of(scheme.integrators),
-        longest_step=nanoseconds(scheme.step_limit),
-        state=state,
-        update=sand.update,
-        sampling=sand.sampling,
-        forces=sand.forces,
+    integrators = EVERY_INTEGRATOR if anywhere else bits_of(scheme.integrators)
+    numbers = (model.nbody, model.nv, len(elements), len(bodies), integrators)
+    arrays = (
+        model.dof_parentid,
+        data.xpos,
+        data.xmat,
+        data.xipos,
+        data.subtree_com,
+        data.cvel,
+        data.cdof,
+        data.qacc_warmstart,
+        data.xfrc_applied,
+        data.warning.number,
+        sand.packed,
+        bodies,
+        scene,
+        contacts,
+        snapshot.record,
+        workspace.record,
+    )
+    memory = (state.ctypes.data if state.size else 0, state.size, sand.update)
+    surface = scene["surface"].ctypes.data - scene.ctypes.data
+    table = np.array(  # in the order of `kernel.memory`
+        [
+            *(*numbers, nanoseconds(scheme.step_limit), options_address(model)),
+            *(array.ctypes.data for array in arrays),
+            *(*memory, sand.sampling, sand.forces, surface),
+        ],
+        np.int64,
     )
     return Binding(table, table.ctypes.data, bodies, contacts, snapshot, workspace, scene, state)

@@ -273,7 +273,7 @@ def test_what_is_kept_is_the_state_of_mujoco(everything):
     excite(everything, data)
     for _ in range(20):
         sand.step(data)
-    assert Snapshot.of(everything, data).time is None
+    assert Snapshot(everything, data).time is None
     binding = sand._bindings[data]
     save_snapshot(binding.table)
     saved = state(everything, data)
