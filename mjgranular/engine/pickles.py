@@ -20,21 +20,13 @@ PROTOCOL = 4  # of `__reduce_ex__`
 
 def register() -> None:
     """Have `pickle`, and what is built on it, use this module for MuJoCo's models and data."""
-    copyreg.pickle(mujoco.MjModel, _reduce_model)
-    copyreg.pickle(mujoco.MjData, _reduce_data)
+    copyreg.pickle(mujoco.MjModel, lambda model: _reduce(model, model))
+    copyreg.pickle(mujoco.MjData, lambda data: _reduce(data, data.model))
 
 
 def restore(make: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
     """Restore what was pickled, after the plugins are registered."""
     return make(*arguments)
-
-
-def _reduce_model(model: mujoco.MjModel) -> tuple[Any, ...]:
-    return _reduce(model, model)
-
-
-def _reduce_data(data: mujoco.MjData) -> tuple[Any, ...]:
-    return _reduce(data, data.model)
 
 
 def _reduce(one: Any, model: mujoco.MjModel) -> tuple[Any, ...]:

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -163,6 +164,20 @@ def joined(parts: Sequence[Cells]) -> Cells:
     )
 
 
+def _revolved(profile: Callable[[np.ndarray], Any], up: float = 1.0) -> Skin:
+    """Return the skin of a surface of revolution about z, from its radius and height over u.
+
+    With `up` -1 the turn is reversed: the same profile, upside down, faces down.
+    """
+
+    def skin(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        radius, height = profile(u)
+        turn = 2 * math.pi * v * up
+        return np.stack([radius * np.cos(turn), radius * np.sin(turn), height], axis=-1)
+
+    return skin
+
+
 def ellipsoid(radii: tuple[float, float, float], resolution: int) -> Cells:
     """Return an ellipsoid: `resolution` rings from pole to pole, twice that around the equator."""
     size = np.array(radii)
@@ -187,25 +202,13 @@ def tube(radius: float, half: float, rows: int, around: int) -> Cells:
     All rows have the same normals; rotated against each other they sample twice as many. An odd
     number of rows is symmetric under reflection.
     """
-
-    def skin(u: np.ndarray, v: np.ndarray) -> np.ndarray:
-        turn = 2 * math.pi * v
-        return np.stack([radius * np.cos(turn), radius * np.sin(turn), half * (1 - 2 * u)], axis=-1)
-
+    skin = _revolved(lambda u: (radius, half * (1 - 2 * u)))
     return rings(skin, [around] * rows, [0.5 * (row % 2) for row in range(rows)])
 
 
 def disc(radius: float, height: float, count: int) -> Cells:
     """Return a disc at that height, facing away from z = 0: `count` rings of 6, 12, ... patches."""
-    up = math.copysign(1.0, height)
-
-    def skin(u: np.ndarray, v: np.ndarray) -> np.ndarray:
-        turn = 2 * math.pi * v * up
-        return np.stack(
-            [radius * u * np.cos(turn), radius * u * np.sin(turn), np.full_like(u, height)],
-            axis=-1,
-        )
-
+    skin = _revolved(lambda u: (radius * u, np.full_like(u, height)), math.copysign(1.0, height))
     return rings(skin, [6 * (k + 1) for k in range(count)])
 
 
@@ -213,19 +216,12 @@ def cap(radius: float, height: float, count: int) -> Cells:
     """Return a half sphere, its rim at that height, facing away from z = 0, in `count` rings."""
     up = math.copysign(1.0, height)
 
-    def skin(u: np.ndarray, v: np.ndarray) -> np.ndarray:
-        polar, turn = math.pi / 2 * u, 2 * math.pi * v * up
-        return np.stack(
-            [
-                radius * np.sin(polar) * np.cos(turn),
-                radius * np.sin(polar) * np.sin(turn),
-                height + up * radius * np.cos(polar),
-            ],
-            axis=-1,
-        )
+    def profile(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        polar = math.pi / 2 * u
+        return radius * np.sin(polar), height + up * radius * np.cos(polar)
 
     polar = [math.pi / 2 * (k + 0.5) / count for k in range(count)]
-    return rings(skin, [_around(4 * count * math.sin(angle)) for angle in polar])
+    return rings(_revolved(profile, up), [_around(4 * count * math.sin(angle)) for angle in polar])
 
 
 def cylinder(radius: float, half: float, resolution: int) -> Cells:

@@ -14,6 +14,7 @@ from mjgranular.errors import InputError
 from mjgranular.relief.memory import Memory
 from mjgranular.relief.relief import Relief
 from mjgranular.sand.cost import coarser
+from mjgranular.shape.select import last_dof
 from mjgranular.surface import HeightField, Plane, Surface
 from mjgranular.warp.motions import SLOT_DTYPE
 
@@ -43,10 +44,7 @@ def slots_of(model: mujoco.MjModel, elements: np.ndarray) -> tuple[np.ndarray, n
 
 def chain_of(model: mujoco.MjModel, body: int) -> list[int]:
     """List the degrees of freedom that move a body, from the last up."""
-    while body and not model.body_dofnum[body]:
-        body = int(model.body_parentid[body])
-    dof = int(model.body_dofadr[body] + model.body_dofnum[body]) - 1 if body else -1
-    chain = []
+    dof, chain = last_dof(model, body), []
     while dof >= 0:
         chain.append(dof)
         dof = int(model.dof_parentid[dof])

@@ -15,7 +15,7 @@ from mjgranular.relief.probe import level_kernel
 from mjgranular.relief.relief import Relief
 from mjgranular.warp import update
 from mjgranular.warp.grid import Grid, tiles_of
-from mjgranular.warp.records import (
+from mjgranular.warp.translate import (
     PlainRelief,
     plain_relief,
     struct_of_surface,
@@ -71,10 +71,8 @@ class WarpMemory:
         self._leveled = self._plain if relief.is_flat else self.surface
         struct = PlainRelief if relief.is_flat else struct_of_surface(relief, record)
         level = level_kernel(type(relief.base).probe, relief.is_flat)
-        self._press, self._flow = (
-            update.press_kernel(struct, level),
-            update.flow_kernel(struct, level),
-        )
+        self._press = update.press_kernel(struct, level)
+        self._flow = update.flow_kernel(struct, level)
 
     def update(self, m: Any, d: Any, height: wp.array, up: wp.vec3) -> None:
         """Press sand down under the bodies of each world, deposit rims, and let it flow.
@@ -106,18 +104,10 @@ class WarpMemory:
         self._launch(update.sum_up, (worlds, blocks * blocks), [relief, task])
 
     def volumes(self) -> dict[str, np.ndarray]:
-        """Return the volumes of each world since its start [m^3], each of shape (nworld,).
-
-        They are `pressed` down, `heaped` up, `forgotten` where the grid is wrapped around, and
-        `waiting` to be deposited beside a track.
-        """
-        found = self._volumes.numpy()
-        return {
-            "pressed": found[:, update.PRESSED],
-            "heaped": found[:, update.HEAPED],
-            "forgotten": found[:, update.FORGOTTEN],
-            "waiting": self._waiting.numpy().sum(1),
-        }
+        """Return the volumes of each world; see `WarpSand.volumes`."""
+        pressed, heaped, forgotten = self._volumes.numpy().T
+        waiting = self._waiting.numpy().sum(1)
+        return {"pressed": pressed, "heaped": heaped, "forgotten": forgotten, "waiting": waiting}
 
     def heights(self, world: int, middle: tuple[float, float]) -> Heights:
         """Return the heights of a world around a point; see `WarpSand.relief`."""
