@@ -9,9 +9,7 @@ from mjgranular._util.checks import kind_of
 from mjgranular._util.parse import read_part
 from mjgranular._util.registry import Registry
 from mjgranular.errors import InputError, shown
-from mjgranular.surface.bed import Bed
-from mjgranular.surface.height_field import HeightField
-from mjgranular.surface.plane import Plane
+from mjgranular.surface.kinds import Bed, HeightField, Plane
 from mjgranular.surface.surface import Surface
 
 surfaces: Registry[type[Surface]] = Registry("surface")

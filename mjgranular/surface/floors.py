@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from mjgranular.shape.sizes import geom_name, geom_type
-from mjgranular.surface.plane import Plane
+from mjgranular.surface.kinds import Plane
 from mjgranular.surface.surface import Surface
 
 SKIN = 1e-3

@@ -1,4 +1,4 @@
-"""Dunes: a surface from an hfield geom of the model."""
+"""The kinds of surfaces: an infinite plane, a bed in a box geom, dunes from an hfield geom."""
 
 from __future__ import annotations
 
@@ -11,13 +11,160 @@ from typing import Any, ClassVar
 import mujoco
 import numpy as np
 
-from mjgranular.errors import InputError
+from mjgranular._util.checks import is_finite
+from mjgranular.errors import InputError, shown
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.memory import records
-from mjgranular.kernel.vector import read_matrix, read_vector, transposed, vector
+from mjgranular.kernel.vector import dot, read_matrix, read_vector, transposed, vector
 from mjgranular.shape.sizes import check_extents
 from mjgranular.surface.place import find_geom, tilt_of, world_pose
 from mjgranular.surface.surface import Surface
+
+PLANE_DTYPE = np.dtype([("normal", np.float64, (3,)), ("offset", np.float64)])
+
+
+@partial(compiled, inline=True)
+def plane_probe(plane, point):
+    """Return a point's depth below the plane along its normal [m], negative above; the normal."""
+    normal = read_vector(plane.normal, 0)
+    return plane.offset - dot(normal, point), normal
+
+
+@dataclass(frozen=True)
+class Plane(Surface):
+    """An infinite plane of sand.
+
+    Attributes:
+        height: world z of the surface above the world's origin [m].
+        slope: angle from the horizontal [rad], below pi/2. Gravity is that of the model and does
+            not rotate with it.
+        uphill: direction of steepest ascent, as an angle from the x axis about z [rad].
+
+    Raises:
+        InputError: a value that is not finite, a slope outside (-pi/2, pi/2), or a direction of
+            more than one turn.
+    """
+
+    probe: ClassVar[Any] = plane_probe
+    is_plane: ClassVar[bool] = True
+
+    height: float = 0.0
+    slope: float = 0.0
+    uphill: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("height", "slope", "uphill"):
+            value = getattr(self, name)
+            if not is_finite(value):
+                raise InputError(f"the plane's {name} must be finite, not {shown(value)}")
+        if abs(self.slope) >= math.pi / 2:
+            raise InputError(
+                f"the plane's slope must be less than 90 degrees (pi/2 = 1.5708 rad), "
+                f"not {self.slope:.4f} rad"
+            )
+        if abs(self.uphill) > 2 * math.pi:
+            raise InputError(
+                f"the plane's uphill is an angle in radians, from -2 pi to 2 pi, not "
+                f"{self.uphill:g}: {self.uphill:g} degrees are {math.radians(self.uphill):.4g}"
+            )
+
+    @property
+    def normal(self) -> np.ndarray:
+        """Unit normal out of the sand, world frame, shape (3,)."""
+        s = math.sin(self.slope)
+        return np.array(
+            [-s * math.cos(self.uphill), -s * math.sin(self.uphill), math.cos(self.slope)]
+        )
+
+    @property
+    def offset(self) -> float:
+        """Distance of the surface from the world's origin along the normal [m]."""
+        return self.height * math.cos(self.slope)
+
+    def record(self, model: mujoco.MjModel) -> np.ndarray:
+        plane = np.zeros(1, PLANE_DTYPE)
+        plane["normal"] = self.normal
+        plane["offset"] = self.offset
+        return plane
+
+    def lift(self, model: mujoco.MjModel) -> Mapping[str, np.ndarray]:
+        return {"offset": np.ones(())}
+
+    def tilt(self, model: mujoco.MjModel) -> float:
+        return tilt_of(self.normal, model)
+
+
+BED_DTYPE = np.dtype(
+    [
+        ("top", np.float64, (3,)),  # center of the upper face [m], world
+        ("along", np.float64, (3,)),  # unit vectors of the face and its normal, world
+        ("across", np.float64, (3,)),
+        ("normal", np.float64, (3,)),
+        ("half_along", np.float64),  # [m]
+        ("half_across", np.float64),
+        ("thickness", np.float64),
+    ]
+)
+
+# A body on the floor of the bed penetrates it slightly, as contacts in MuJoCo do: the sand reaches
+# down by this multiple of the thickness. Chosen, not measured.
+_ROOM = 1.1
+
+
+@compiled
+def bed_probe(bed, point):
+    """Return the depth below the upper face [m]; outside the bed, minus the distance to it."""
+    from_top = point - read_vector(bed.top, 0)
+    normal = read_vector(bed.normal, 0)
+    along = abs(dot(from_top, read_vector(bed.along, 0))) - bed.half_along
+    across = abs(dot(from_top, read_vector(bed.across, 0))) - bed.half_across
+    beside = max(along, across)
+    depth = -dot(normal, from_top)
+    if beside > 0.0:
+        depth = -beside
+    elif depth > _ROOM * bed.thickness:
+        depth = _ROOM * bed.thickness - depth
+    return depth, normal
+
+
+@dataclass(frozen=True)
+class Bed(Surface):
+    """The sand in a box geom: its upper face (+z of the geom) is the surface.
+
+    Beside and under the box there is no sand. Its lower face is not a floor: put an ordinary geom
+    there (a plane, or another box), which bodies meet through MuJoCo's own contacts. The box's own
+    contacts are disabled in the model when the sand is bound; an explicit contact pair, which
+    cannot be disabled, is an error.
+
+    Attributes:
+        geom: name of the box geom; it must be fixed to the world.
+    """
+
+    probe: ClassVar[Any] = bed_probe
+
+    geom: str
+
+    def record(self, model: mujoco.MjModel) -> np.ndarray:
+        geom = find_geom(model, self.geom, mujoco.mjtGeom.mjGEOM_BOX, "bed")
+        position, axes = world_pose(model, geom)
+        half = model.geom_size[geom]
+        check_extents(f"the bed {self.geom!r}", half)
+        bed = np.zeros(1, BED_DTYPE)
+        bed["top"] = position + half[2] * axes[:, 2]
+        bed["along"], bed["across"], bed["normal"] = axes.T
+        bed["thickness"] = 2 * half[2]
+        bed["half_along"], bed["half_across"] = half[:2]
+        return bed
+
+    def geoms(self, model: mujoco.MjModel) -> tuple[int, ...]:
+        return (find_geom(model, self.geom, mujoco.mjtGeom.mjGEOM_BOX, "bed"),)
+
+    def lift(self, model: mujoco.MjModel) -> Mapping[str, np.ndarray]:
+        return {"top": self.record(model)["normal"][0]}
+
+    def tilt(self, model: mujoco.MjModel) -> float:
+        return tilt_of(self.record(model)["normal"][0], model)
+
 
 HEIGHT_FIELD_DTYPE = np.dtype(
     [
