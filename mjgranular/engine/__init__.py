@@ -16,7 +16,7 @@ from mjgranular.engine.plugin import register
 from mjgranular.engine.spec import add_sand as add_sand
 from mjgranular.engine.spec import show_prints as show_prints
 from mjgranular.engine.tuning import tune as tune
-from mjgranular.sand.sharing import ask_about_models
+from mjgranular.sand.binding import ask_about_models
 
 register()
 register_pickles()

@@ -22,9 +22,20 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from mjgranular.relief.flow import REST, excess_of, gains_of, slope_to
-from mjgranular.relief.press import FACES_DOWN, LEAST, has_edges, is_sand, skin_at
-from mjgranular.relief.update import FASTEST, FLOWS_AFTER, PRESSED_AFTER
+from mjgranular.relief.update import (
+    FACES_DOWN,
+    FASTEST,
+    FLOWS_AFTER,
+    LEAST,
+    PRESSED_AFTER,
+    REST,
+    excess_of,
+    gains_of,
+    has_edges,
+    is_sand,
+    skin_at,
+    slope_to,
+)
 from mjgranular.warp.grid import (
     corner_of,
     height_of_node,
@@ -34,8 +45,7 @@ from mjgranular.warp.grid import (
     tile_of,
     wrapped,
 )
-from mjgranular.warp.records import PlainRelief
-from mjgranular.warp.translate import translated
+from mjgranular.warp.translate import PlainRelief, translated
 
 LANES = 256
 """Threads per world. Chosen."""
