@@ -11,8 +11,6 @@ and addresses. An address of an array of the block becomes an offset in the bloc
 MuJoCo's structs or buffers is looked up again in every other simulation. All else is a number.
 """
 
-from __future__ import annotations
-
 import ctypes
 import itertools
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Callbacks of the engine: compiled, without Python, without the GIL, without allocation."""
 
-from __future__ import annotations
-
 import ctypes
 import math
 from functools import partial

@@ -5,8 +5,6 @@ a name and its options, as in a shell: `link eta_d=7`, `bed geom='my tray'`. Num
 that they are read back exactly.
 """
 
-from __future__ import annotations
-
 import math
 import shlex
 from collections.abc import Iterator, Mapping, Sequence

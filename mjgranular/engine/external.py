@@ -9,8 +9,6 @@ MuJoCo calls plugins after its own sensors of the acceleration stage, whose valu
 sand. If there are such sensors, they are computed again.
 """
 
-from __future__ import annotations
-
 import mujoco
 
 from mjgranular._util.checks import check_data, check_model

@@ -1,7 +1,5 @@
 """The sands in a model, and the bodies they act on, read from the model."""
 
-from __future__ import annotations
-
 import ctypes
 from collections.abc import Iterator
 

@@ -5,8 +5,6 @@ would end a process that has not imported mjgranular. So a model with sand is pi
 function of this module, which cannot be found without the import.
 """
 
-from __future__ import annotations
-
 import copyreg
 from collections.abc import Callable
 from typing import Any

@@ -6,8 +6,6 @@ first model with sand adds compiled functions. A program that imports mjgranular
 plugin pays almost nothing.
 """
 
-from __future__ import annotations
-
 import ctypes
 import logging
 import threading

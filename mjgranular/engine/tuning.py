@@ -6,8 +6,6 @@ copied and batched with it. They change a list of numbers in the record that ker
 surface, made from each law's own description of its fields; `adjust` applies it.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import mujoco

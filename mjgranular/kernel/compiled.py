@@ -1,7 +1,5 @@
 """Compile kernels with numba, and cache the programs made of them."""
 
-from __future__ import annotations
-
 import logging
 import subprocess
 import sys

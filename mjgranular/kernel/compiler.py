@@ -1,7 +1,5 @@
 """Supported versions of numba, errors that are short, and reports of compilation."""
 
-from __future__ import annotations
-
 import logging
 import re
 import sys

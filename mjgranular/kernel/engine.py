@@ -4,8 +4,6 @@ Cached machine code must not contain addresses: functions are called by name, re
 is loaded.
 """
 
-from __future__ import annotations
-
 import ctypes
 import sys
 from functools import cache

@@ -6,8 +6,6 @@ fixed while the `MjData` lives, so one table of addresses replaces them. An engi
 gets only the `mjData*` and no NumPy arrays, fills the same table.
 """
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Any
 

@@ -4,8 +4,6 @@ MuJoCo's `cvel` and the columns of `cdof` are spatial vectors (angular, linear) 
 mass of the kinematic tree, world axes; sums of them need no Jacobian.
 """
 
-from __future__ import annotations
-
 from functools import partial
 from typing import NamedTuple
 

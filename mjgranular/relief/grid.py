@@ -5,8 +5,6 @@ size), with its indices as a key: numbers with another key belong to another nod
 are treated as untrusted numbers: none may lead outside the state.
 """
 
-from __future__ import annotations
-
 import math
 from functools import partial
 from typing import Any

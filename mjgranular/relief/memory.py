@@ -1,11 +1,9 @@
 """`Memory`: resolution, extent and material parameters of a surface's memory; its `Heights`."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import KW_ONLY, dataclass, replace
 from numbers import Real
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -99,7 +97,7 @@ class Memory:
         """Side of the stored square [m], before it is rounded up."""
         return EXTENT if self.extent is None else self.extent
 
-    def reaching(self, length: float) -> Memory:
+    def reaching(self, length: float) -> Self:
         """Return this memory; if its extent was not set, with one of at least that length [m]."""
         if self.extent is not None or length <= EXTENT:
             return self

@@ -11,8 +11,6 @@ gradient, whose components sum to zero. So each move is a step of a projection o
 the distance to every state that satisfies all bounds does not grow, and no volume is lost.
 """
 
-from __future__ import annotations
-
 import math
 from functools import cache, partial
 from typing import Any, NamedTuple
@@ -282,29 +280,23 @@ REST = 5e-3
 """Slope that may remain above that of repose: 0.2 degrees. Chosen."""
 
 
+# Below, a and b are the slopes of a triangle along the first and the second axis of the plane, `up`
+# is the upward direction along the plane's axes, `tangent` that of the angle of repose.
+
+
 @partial(compiled, inline=True)
 def slope_to(height, other, sign, level):
-    """Return the slope along an axis from a node to its neighbor; `level` if that is NaN.
+    """Return the slope along an axis between heights of neighbors [cells].
 
-    Args:
-        height: height of the node over the plane [cells].
-        other: height of the neighbor; NaN where nothing flows.
-        sign: 1 if the neighbor is ahead along the axis, -1 if behind.
-        level: slope of level sand.
+    The other one is NaN where nothing flows: then it is that of level sand. The sign is 1 if it is
+    ahead along the axis, -1 if behind.
     """
     return sign * (other - height) if other == other else level
 
 
 @partial(compiled, inline=True)
 def excess_of(a, b, up, tangent):
-    """Return by how much a triangle is steeper than repose; convex in its slopes.
-
-    Args:
-        a: slope along the first axis of the plane.
-        b: slope along the second.
-        up: upward direction along the axes of the plane, a vector.
-        tangent: tangent of the angle of repose.
-    """
+    """Return by how much a triangle is steeper than repose; convex in its slopes."""
     rise = up.z - a * up.x - b * up.y  # of the normal (-a, -b, 1) along gravity
     return math.sqrt(max(1.0 + a * a + b * b - rise * rise, 0.0)) - tangent * rise
 
@@ -313,14 +305,8 @@ def excess_of(a, b, up, tangent):
 def gains_of(a, b, up, tangent, ahead, beside, rate):
     """Return the heights that the node of a steep triangle loses to its two neighbors [cells].
 
-    Args:
-        a: slope along the first axis of the plane.
-        b: slope along the second.
-        up: upward direction along the axes of the plane, a vector.
-        tangent: tangent of the angle of repose.
-        ahead: 1 if the first neighbor is ahead, -1 if behind, 0 if nothing flows there.
-        beside: the same of the second.
-        rate: fraction of the step that would end the excess; below 2.
+    `ahead` is 1 if the first neighbor is ahead, -1 if behind, 0 if nothing flows there, `beside`
+    the same of the second. The rate is a fraction of the step that would end the excess; below 2.
     """
     excess = excess_of(a, b, up, tangent)
     rise = up.z - a * up.x - b * up.y
@@ -336,25 +322,15 @@ def gains_of(a, b, up, tangent, ahead, beside, rate):
 def flow_kernel(level: Any, is_flat: bool) -> Any:
     """Make a kernel `flow(state, relief, rate)`: sand flows down where it is too steep.
 
-    Nothing flows from or to a node under a body.
-
-    Args:
-        level: see `level_kernel`.
-        is_flat: whether the surface is locally plane.
+    Nothing flows from or to a node under a body. The kernel `level` is of `level_kernel`.
     """
     room = scratch(18)
 
     @partial(compiled, inline=True)
     def flow_in_square(around, gained, first, up, tangent, rate):
-        """Level the steepest triangle of a square.
+        """Level the steepest triangle of a square, whose first node is `first`.
 
-        Args:
-            around: heights of nine nodes [cells], row by row.
-            gained: heights that they have gained [cells].
-            first: the first node of the square.
-            up: upward direction along the axes of the plane.
-            tangent: tangent of the angle of repose.
-            rate: see `gains_of`.
+        `around` has the heights of nine nodes [cells], row by row, `gained` what they have gained.
         """
         steepest, corner = REST, -1
         flat_a, flat_b = -up.x / up.z, -up.y / up.z

@@ -4,8 +4,6 @@ A check yields sentences about a model and its sand. The tables at the end give 
 Limits without a source are chosen.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 A registry has the sands of each simulation: one per body, unless all of them are shared.
 """
 
-from __future__ import annotations
-
 import weakref
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -109,15 +107,11 @@ def bind(
     return Binding(table, table.ctypes.data, bodies, contacts, snapshot, workspace, scene, state)
 
 
-SandsOfModel = Callable[[mujoco.MjModel], Iterable[tuple[str, set[int]]]]
-"""Return the sands that are a part of a model: name, and ids of the bodies that it acts on."""
+_sands_of_model: list[Callable[[mujoco.MjModel], Iterable[tuple[str, set[int]]]]] = []
 
-_sands_of_model: list[SandsOfModel] = []
-
-
-def ask_about_models(sands_of_model: SandsOfModel) -> None:
-    """Register a function by which `Sand` finds bodies on which a model's own sand acts."""
-    _sands_of_model.append(sands_of_model)
+ask_about_models = _sands_of_model.append
+"""Register a function that returns the sands that are a part of a model: the name of each, and the
+ids of the bodies that it acts on."""
 
 
 def find_sand_of_the_model(model: mujoco.MjModel, elements: np.ndarray) -> str:
@@ -134,37 +128,32 @@ def find_sand_of_the_model(model: mujoco.MjModel, elements: np.ndarray) -> str:
     return ""
 
 
-@dataclass(frozen=True)
-class _Member:
-    """Bodies of one Sand."""
-
-    bodies: frozenset[int]
-    shared: bool
-
-
 class SandRegistry:
     """The Sands that act on one `MjData`, and their shares in its `xfrc_applied`."""
 
     def __init__(self) -> None:
-        self._members: weakref.WeakKeyDictionary[object, _Member] = weakref.WeakKeyDictionary()
+        # The bodies of each Sand, and whether it is shared.
+        self._members: weakref.WeakKeyDictionary[object, tuple[set[int], bool]]
+        self._members = weakref.WeakKeyDictionary()
         self._shares: list[Binding] = []  # of shared Sands, in the order they were added
 
     def add(self, sand: object, model: mujoco.MjModel, binding: Binding, *, shared: bool) -> None:
         """Register a Sand; raise if another acts on one of its bodies, and not both are shared."""
-        bodies = frozenset(binding.bodies["body"].tolist())
-        for other in list(self._members.values()):
-            common = bodies & other.bodies
-            if common and not (shared and other.shared):
+        bodies = set(binding.bodies["body"].tolist())
+        for others, is_shared in list(self._members.values()):
+            common = bodies & others
+            if common and not (shared and is_shared):
                 raise InputError(
                     f"another Sand acts on body {body_name(model, min(common))} of this MjData: "
                     "make an MjData for each, make both with shared=True if both are to act (two "
                     "beds, say), or have the other one release(data) first"
                 )
-        self._members[sand] = _Member(bodies, shared)
+        self._members[sand] = bodies, shared
 
     def remove(self, sand: object, binding: Binding) -> None:
         """Remove a Sand, and its share too."""
-        if self._members.pop(sand).shared:
+        _, is_shared = self._members.pop(sand)
+        if is_shared:
             self._withdraw_all()
         else:
             _withdraw(binding)

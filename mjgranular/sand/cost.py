@@ -1,9 +1,8 @@
 """Rough cost of the sand per step, by the number of elements."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
@@ -31,7 +30,7 @@ class Cost:
     within: float
 
     @classmethod
-    def of(cls, count: int, scheme: Scheme) -> Cost:
+    def of(cls, count: int, scheme: Scheme) -> Self:
         """Return the cost of `count` elements."""
         each = _EXPLICIT if isinstance(scheme, Explicit) else _IMPLICIT
         return cls(count * _ABOVE, count * each)

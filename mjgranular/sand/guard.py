@@ -4,8 +4,6 @@ If MuJoCo finds NaN, infinite or huge numbers it resets the simulation, and the 
 them is lost. So compiled code stores it once per step, by `mj_getState`; `mj_setState` restores it.
 """
 
-from __future__ import annotations
-
 import math
 
 import mujoco
@@ -30,12 +28,6 @@ def save_snapshot(table):
     """Copy the state of a simulation to its snapshot."""
     record = _records(table[SNAPSHOT], 1)[0]
     get_state(record.model, record.data, record.state, _STATE)
-
-
-@compiled
-def kept_time(table):
-    """Return the time of the stored state [s], its first number."""
-    return floats(_records(table[SNAPSHOT], 1)[0].state, 1)[0]
 
 
 class Snapshot:
@@ -67,7 +59,8 @@ class Snapshot:
 @compiled
 def forget_after_reset(table):
     """Clear a surface's memory if time has gone back: the simulation starts over."""
-    state, time = floats(table[STATE], table[STATE_SIZE]), kept_time(table)
+    state = floats(table[STATE], table[STATE_SIZE])
+    time = floats(_records(table[SNAPSHOT], 1)[0].state, 1)[0]  # the first number of what is stored
     if time < state[TIME]:
         for k in range(len(state)):
             state[k] = 0.0

@@ -1,13 +1,11 @@
 """`Sand`: a bed of sand bound to a model, the main class of the package."""
 
-from __future__ import annotations
-
 import copy
 import math
 import weakref
 from collections.abc import Callable
 from functools import partial
-from typing import Any, Unpack
+from typing import Any, Self, Unpack
 
 import mujoco
 import numpy as np
@@ -505,7 +503,7 @@ class Sand:
             return what, int(model.jnt_bodyid[joint])
         return what, int(model.dof_bodyid[index])
 
-    def __deepcopy__(self, memo: dict[int, Any]) -> Sand:
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
         """Return a new sand for a deep copy of the model, shared by all that is copied with it."""
         make, (model, spec) = self.__reduce__()
         return make(copy.deepcopy(model, memo), spec)

@@ -1,7 +1,5 @@
 """Surfaces of bodies: the facets of their geoms, for laws that act on surface elements."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Literal
 

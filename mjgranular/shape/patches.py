@@ -11,8 +11,6 @@ surface stays closed; the centroid and the second moments of their area; and, by
 variation of their normals over it.
 """
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 

@@ -1,7 +1,5 @@
 """Selection of the geoms of a model that meet the sand."""
 
-from __future__ import annotations
-
 import operator
 from collections.abc import Iterable, Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """Sizes of geoms, limits on sizes and numbers of elements, and the default resolution of geoms."""
 
-from __future__ import annotations
-
 import operator
 from collections.abc import Sequence
 from typing import Any

@@ -8,12 +8,10 @@ Every division has the symmetries of its shape.
 The number of patches needed for a given error was measured (docs/shapes.md).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -34,20 +32,13 @@ class Facets:
     A point of a facet is `point + s edges[0] + t edges[1]`, with s and t from -1 to 1, and the
     normal there is along `normal + s spread[0] + t spread[1]`. The parallelogram has the centroid
     and the second moments of the facet; its area may differ.
-
-    Attributes:
-        points: centroids [m], shape (n, 3).
-        normals: unit, outward, shape (n, 3).
-        areas: [m^2], shape (n,).
-        edges: half edges [m], shape (n, 2, 3).
-        spread: half differences of the unit normal along them, shape (n, 2, 3).
     """
 
-    points: np.ndarray
-    normals: np.ndarray
-    areas: np.ndarray
-    edges: np.ndarray
-    spread: np.ndarray
+    points: np.ndarray  # centroids [m], shape (n, 3)
+    normals: np.ndarray  # unit, outward, shape (n, 3)
+    areas: np.ndarray  # [m^2], shape (n,)
+    edges: np.ndarray  # half edges [m], shape (n, 2, 3)
+    spread: np.ndarray  # half differences of the unit normal along them, shape (n, 2, 3)
 
     def __len__(self) -> int:
         return len(self.areas)
@@ -55,21 +46,14 @@ class Facets:
 
 @dataclass(frozen=True)
 class Cells:
-    """Small pieces of a surface, and the patches they are grouped into.
+    """Small pieces of a surface, and the patches they are grouped into."""
 
-    Attributes:
-        points: on the surface [m], shape (n, 3).
-        vectors: area times outward normal [m^2], shape (n, 3).
-        places: two coordinates of a cell in its patch, -1 to 1, shape (n, 2).
-        patches: index of the patch of each, from 0, shape (n,).
-    """
+    points: np.ndarray  # on the surface [m], shape (n, 3)
+    vectors: np.ndarray  # area times outward normal [m^2], shape (n, 3)
+    places: np.ndarray  # two coordinates of a cell in its patch, -1 to 1, shape (n, 2)
+    patches: np.ndarray  # index of the patch of each, from 0, shape (n,)
 
-    points: np.ndarray
-    vectors: np.ndarray
-    places: np.ndarray
-    patches: np.ndarray
-
-    def only(self, chosen: np.ndarray) -> Cells:
+    def only(self, chosen: np.ndarray) -> Self:
         """Return those selected by a mask, shape (n,), in the same patches."""
         return Cells(
             self.points[chosen], self.vectors[chosen], self.places[chosen], self.patches[chosen]

@@ -247,15 +247,9 @@ def _with_momentum(
 ):
     """Return the damping of an element including its added mass, and the constant force.
 
-    Args:
-        c: damping by resistance, at the velocity v.
-        tangent: damping that the prediction uses instead of `c`.
-        kicked: constant force that belongs to `tangent`.
-        n: normal of the element.
-        rate: m / h of its sand [kg/s].
-        start: m' s_b / h [N].
-        v: predicted velocity of the element.
-        last: whether these are the final equations of the step.
+    Damping by resistance is `c` at the predicted velocity v; the prediction uses `tangent` instead,
+    with the constant force `kicked`. `rate` is m / h of the sand along the normal n [kg/s], `start`
+    is m' s_b / h [N]. `last` is whether these are the final equations of the step.
     """
     speed = wp.length(v)
     if speed > 0.0:

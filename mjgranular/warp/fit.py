@@ -3,8 +3,6 @@
 It also lists the model's bodies as integer tables.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import mujoco

@@ -1,7 +1,5 @@
 """Memory of each world's sand: its arrays on the device, and its update after each step."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import mujoco

@@ -1,7 +1,5 @@
 """`WarpSand`: sand in all worlds of MuJoCo Warp."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, Unpack
 

@@ -6,8 +6,6 @@ equivalents: vectors are `wp.vec3`, named tuples are structs, a kernel that is c
 first. So each formula is written once. All numbers are single precision.
 """
 
-from __future__ import annotations
-
 import functools
 import hashlib
 import inspect
@@ -24,7 +22,7 @@ from mjgranular.kernel.motion import Motion
 from mjgranular.law.kernel import Level, Pose
 from mjgranular.relief import grid, probe
 from mjgranular.relief.relief import Relief, relief_dtype
-from mjgranular.surface import Surface, kinds
+from mjgranular.surface.surface import Surface, height_of
 from mjgranular.warp import grid as grid_of_worlds
 from mjgranular.warp.grid import Grid, struct
 
@@ -107,7 +105,7 @@ _MEANINGS: dict[int, Any] = {
         (lanes.root, wp.sqrt),
         (elementary.logarithm, wp.log),
         (elementary.exponential, wp.exp),
-        (kinds.height_of, _height),
+        (height_of, _height),
         (memory.floats, _read),
         (probe.state_length, _no_length),
         (probe.highest_of, grid_of_worlds.highest_of),
