@@ -49,15 +49,11 @@ _WORD = 8  # bytes
 
 @dataclass(frozen=True)
 class Image:
-    """A block without an `mjData`: its words, as `content`.
+    """A block without an `mjData`."""
 
-    `relocations` are rows of `RELOCATION_DTYPE` that do not read the model; `shared` has the arrays
-    whose addresses are in the content.
-    """
-
-    content: np.ndarray
-    relocations: np.ndarray
-    shared: tuple[np.ndarray, ...] = ()
+    content: np.ndarray  # its words
+    relocations: np.ndarray  # rows of `RELOCATION_DTYPE` that do not read the model
+    shared: tuple[np.ndarray, ...] = ()  # arrays whose addresses are in the content
 
     def copy_for(self, data: int) -> np.ndarray:
         """Make the block of the `mjData` at an address; what reads the model is linked later.
@@ -109,10 +105,7 @@ class Struct:
 
 
 def places_of(arrays: Sequence[np.ndarray]) -> tuple[dict[int, int], int]:
-    """Return the offset of each array stored one after the other by its address, and the size.
-
-    Both are in bytes.
-    """
+    """Return offsets of arrays stored one after the other, by address, and their size [bytes]."""
     places, size = {}, 0
     for array in arrays:
         places[array.ctypes.data] = size

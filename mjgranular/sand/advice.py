@@ -36,13 +36,7 @@ from mjgranular.scheme import Scheme
 from mjgranular.shape.select import body_name, collides, is_choice, mocap_above, moves
 from mjgranular.shape.sizes import FACETS, LARGEST, geom_name, geom_width, half_extents
 from mjgranular.surface import Bed, HeightField, Plane, Surface
-from mjgranular.surface.floors import (
-    CARRIES,
-    WOULD_CARRY,
-    FloorWatch,
-    describe_floors,
-    find_floors,
-)
+from mjgranular.surface.floors import CARRIES, WOULD_CARRY, FloorWatch, describe_floors, find_floors
 
 
 @dataclass(frozen=True)

@@ -21,13 +21,10 @@ _IMPLICIT = 0.2e-6
 
 @dataclass(frozen=True)
 class Cost:
-    """What the sand adds to a step [s], within a factor of two on today's machines.
+    """What the sand adds to a step [s], within a factor of two on today's machines."""
 
-    `above` is the cost with all elements above the sand, `within` with all of them in it.
-    """
-
-    above: float
-    within: float
+    above: float  # with all elements above the sand
+    within: float  # with all of them in it
 
     @classmethod
     def of(cls, count: int, scheme: Scheme) -> Self:

@@ -14,13 +14,7 @@ from mjgranular.relief.footprint import Footprint, fitting
 from mjgranular.relief.memory import as_memory
 from mjgranular.relief.update import update_program
 from mjgranular.sand import advice
-from mjgranular.sand.chosen import (
-    ChosenSand,
-    choose_sand,
-    geoms_in_sand,
-    kernel_under,
-    remembering,
-)
+from mjgranular.sand.chosen import ChosenSand, choose_sand, geoms_in_sand, kernel_under, remembering
 from mjgranular.sand.spec import SandSpec, combined
 from mjgranular.scheme import Auto, Explicit, Scheme, get_scheme
 from mjgranular.scheme.auto import FINE_STEP

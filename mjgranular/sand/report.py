@@ -337,12 +337,7 @@ def _rms(vectors: np.ndarray) -> float:
 
 
 def _measures(
-    table: ElementTable,
-    immersed: np.ndarray,
-    *,
-    gravity: float,
-    slope: float,
-    grain: float | None,
+    table: ElementTable, immersed: np.ndarray, *, gravity: float, slope: float, grain: float | None
 ) -> dict[Measure, float | None]:
     """Return the measures of validity of one body: the largest over its elements in the sand."""
     measures: dict[Measure, float | None] = {

@@ -440,12 +440,7 @@ class Sand:
         return binding.address
 
     def _failure(
-        self,
-        data: mujoco.MjData,
-        failed: int,
-        binding: Binding | None = None,
-        *,
-        own: bool = True,
+        self, data: mujoco.MjData, failed: int, binding: Binding | None = None, *, own: bool = True
     ) -> UnstableError | InputError:
         """Make the error for a program that failed; if the state is bad, restore the last good one.
 

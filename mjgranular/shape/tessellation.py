@@ -11,7 +11,7 @@ The number of patches needed for a given error was measured (docs/shapes.md).
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
@@ -53,7 +53,7 @@ class Cells:
     places: np.ndarray  # two coordinates of a cell in its patch, -1 to 1, shape (n, 2)
     patches: np.ndarray  # index of the patch of each, from 0, shape (n,)
 
-    def only(self, chosen: np.ndarray) -> Self:
+    def only(self, chosen: np.ndarray) -> "Cells":
         """Return those selected by a mask, shape (n,), in the same patches."""
         return Cells(
             self.points[chosen], self.vectors[chosen], self.places[chosen], self.patches[chosen]
@@ -232,27 +232,20 @@ def box(halves: tuple[float, float, float], resolution: int) -> Cells:
     longest = max(halves)
     # The small number prevents rounding from adding a patch to a third of a multiple of three.
     counts = [max(1, math.ceil(resolution / 3 * half / longest - 1e-9)) for half in halves]
-    parts = []
-    for axis in range(3):
+
+    def face(axis: int, side: float) -> Cells:
         first, second = (axis + 1) % 3, (axis + 2) % 3
-        for side in (1.0, -1.0):
 
-            def skin(
-                u: np.ndarray,
-                v: np.ndarray,
-                axis: int = axis,
-                first: int = first,
-                second: int = second,
-                side: float = side,
-            ) -> np.ndarray:
-                points = np.empty((*u.shape, 3))
-                points[..., axis] = side * halves[axis]
-                points[..., first] = side * halves[first] * (2 * u - 1)
-                points[..., second] = halves[second] * (2 * v - 1)
-                return points
+        def skin(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+            points = np.empty((*u.shape, 3))
+            points[..., axis] = side * halves[axis]
+            points[..., first] = side * halves[first] * (2 * u - 1)
+            points[..., second] = halves[second] * (2 * v - 1)
+            return points
 
-            parts.append(patches(skin, counts[first], counts[second]))
-    return joined(parts)
+        return patches(skin, counts[first], counts[second])
+
+    return joined([face(axis, side) for axis in range(3) for side in (1.0, -1.0)])
 
 
 def _rows(radius: float, half: float, resolution: int) -> int:

@@ -15,7 +15,6 @@ force, C is the secant of the element's total force and there is no constant for
 # pyright: reportOperatorIssue=false, reportGeneralTypeIssues=false
 # pyright: reportAssignmentType=false, reportAttributeAccessIssue=false
 
-# No `from __future__ import annotations`: Warp reads the types of local structs in place.
 import functools
 from typing import Any
 

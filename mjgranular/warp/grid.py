@@ -10,7 +10,6 @@ from other nodes stored in the same place.
 # pyright: reportOperatorIssue=false, reportGeneralTypeIssues=false, reportIndexIssue=false
 # pyright: reportAttributeAccessIssue=false
 
-# No `from __future__ import annotations`: Warp reads the types of local structs in place.
 from typing import Any
 
 import numpy as np

@@ -9,7 +9,6 @@ force -C v is the law's own (`law.secant`).
 # pyright: reportOperatorIssue=false, reportGeneralTypeIssues=false
 # pyright: reportAttributeAccessIssue=false
 
-# No `from __future__ import annotations`: Warp reads the types of local structs in place.
 import functools
 from typing import Any
 
@@ -145,13 +144,7 @@ def _one_limit(respond: Any) -> Any:
 
     @wp.func
     def resistance(
-        found: Any,
-        law: Any,
-        g: float,
-        v: wp.vec3,
-        eps: float,
-        strong: float,
-        dense: float,
+        found: Any, law: Any, g: float, v: wp.vec3, eps: float, strong: float, dense: float
     ):
         square = wp.dot(v, v)
         u = wp.vec3(0.0, 0.0, -1.0)
@@ -175,13 +168,7 @@ def _two_limits(respond: Any) -> Any:
 
     @wp.func
     def resistance(
-        found: Any,
-        law: Any,
-        g: float,
-        v: wp.vec3,
-        eps: float,
-        strong: float,
-        dense: float,
+        found: Any, law: Any, g: float, v: wp.vec3, eps: float, strong: float, dense: float
     ):
         n = found.normal
         v_n = wp.dot(v, n)

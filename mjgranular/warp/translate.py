@@ -211,21 +211,20 @@ def _of_shape(shape: tuple[int, ...]) -> Any:
     return _BY_SHAPE[shape]
 
 
-def _without_base(relief: np.dtype) -> np.dtype:
-    return np.dtype([(name, relief[name]) for name in relief.names or () if name != "base"])
-
-
-PlainRelief = struct_of_dtype("PlainRelief", _without_base(relief_dtype(np.dtype([]))))
+_relief = relief_dtype(np.dtype([]))
+PlainRelief = struct_of_dtype(
+    "PlainRelief",
+    np.dtype([(name, _relief[name]) for name in _relief.names or () if name != "base"]),
+)
 """A surface with memory but without its base surface, which many kernels do not need."""
 
 
 def to_device(records: np.ndarray, kind: Any, device: Any) -> wp.array:
     """Copy records, shape (n,), to a device, as structs (`struct_of`) with the same fields."""
     made = struct_of(kind) if hasattr(kind, "_fields") else kind
-    names = list(get_type_hints(kind)) if hasattr(kind, "_fields") else list(made.vars)
     packed: Any = np.zeros(len(records), made.numpy_dtype())
     fields: Any = records
-    for name in names:
+    for name in made.vars:
         packed[name] = fields[name].reshape(packed[name].shape)
     return wp.array(packed, dtype=made, device=device)
 

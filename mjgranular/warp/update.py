@@ -15,7 +15,6 @@ costs almost nothing.
 # pyright: reportOperatorIssue=false, reportGeneralTypeIssues=false, reportIndexIssue=false
 # pyright: reportAttributeAccessIssue=false, reportAssignmentType=false
 
-# No `from __future__ import annotations`: Warp reads the types of local structs in place.
 import functools
 from typing import Any
 
