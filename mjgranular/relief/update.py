@@ -457,7 +457,7 @@ the same within 1 %."""
 
 STILL = 1e-3
 """How far a surface point may move until bodies press again [cells], while nothing flows. Chosen: a
-tenth of the height that is not pressed down at once (`press.LEAST`)."""
+tenth of the height that is not pressed down at once (`LEAST`)."""
 
 FASTEST = 1.5
 """Greatest rate of flow. Chosen below 2, where sand would not come to rest."""

@@ -95,15 +95,8 @@ def kernel_under(
     `forces_alone` omits derivatives (`Law.kernel_of_forces`).
     """
     law = chosen.law
-    kernel = _kernel_of(law, surface, forces_alone)
-    if isinstance(surface, Relief) and footprint is not None:
-        _check_places(model, chosen, kernel.element._fields, footprint, surface.memory.cell)
-    return kernel
-
-
-def _kernel_of(law: Law, surface: Surface, forces_alone: bool) -> LawKernel:
     try:
-        return law.kernel_of_forces(surface) if forces_alone else law.kernel(surface)
+        kernel = law.kernel_of_forces(surface) if forces_alone else law.kernel(surface)
     except AttributeError as error:
         if not isinstance(surface, Relief):
             raise
@@ -111,6 +104,9 @@ def _kernel_of(law: Law, surface: Surface, forces_alone: bool) -> LawKernel:
             f"the law {law.name!r} cannot be used with memory ({error}): its `kernel` has to ask "
             "for surface.probe_kernel() in place of type(surface).probe"
         ) from error
+    if isinstance(surface, Relief) and footprint is not None:
+        _check_places(model, chosen, kernel.element._fields, footprint, surface.memory.cell)
+    return kernel
 
 
 def _check_places(
