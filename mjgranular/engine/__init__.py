@@ -2,10 +2,9 @@
 
 `spec` writes the MJCF and `config` reads it; `plugin` registers with MuJoCo through `trampolines`,
 machine code in front of Python; `loader` prepares the sand when an `mjData` is made, `block` lays
-it out in memory, `relocation` copies that, `handles` maps simulations to blocks; `callbacks` runs
-at each step; `sensor` and `draw` read its results, `external` adds them to MuJoCo's own sensors.
-`tuning` is sand with its own state, `adjust` applies it to a block. With `pickles`, pickled models
-import mjgranular when they are loaded.
+it out in memory, `handles` maps simulations to blocks; `callbacks` runs at each step; `sensor` and
+`draw` read its results, `external` adds them to MuJoCo's own sensors. `tuning` is sand with its own
+state. With `pickles`, pickled models import mjgranular when they are loaded.
 """
 
 from mjgranular.engine.external import rne_post_constraint as rne_post_constraint
@@ -17,7 +16,7 @@ from mjgranular.engine.plugin import register
 from mjgranular.engine.spec import add_sand as add_sand
 from mjgranular.engine.spec import show_prints as show_prints
 from mjgranular.engine.tuning import tune as tune
-from mjgranular.sand.sharing import ask_about_models
+from mjgranular.sand.binding import ask_about_models
 
 register()
 register_pickles()

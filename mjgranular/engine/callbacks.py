@@ -1,23 +1,35 @@
 """Callbacks of the engine: compiled, without Python, without the GIL, without allocation."""
 
-from __future__ import annotations
-
 import ctypes
+import math
 from functools import partial
 from typing import Any
 
 import mujoco
 import numpy as np
 
-from mjgranular.engine.adjust import adjust, clear_results, state_of
-from mjgranular.engine.block import HEADER_DTYPE, REFUSAL_SIZE, SHAPE_DTYPE, header_at
+from mjgranular.engine.block import (
+    HEADER_DTYPE,
+    POINTER_IN_MODEL,
+    REFUSAL_SIZE,
+    RELOCATION_DTYPE,
+    SHAPE_DTYPE,
+    header_at,
+)
 from mjgranular.engine.draw import draw
 from mjgranular.engine.external import ASLEEP, update_sensors
 from mjgranular.engine.handles import ROW_COUNT, find_block, find_row, row_records, rows_address
-from mjgranular.engine.relocation import POINTER_IN_MODEL, RELOCATION_DTYPE
 from mjgranular.engine.sensor import compute_sensors
 from mjgranular.engine.trampolines import FAIL, FORGET, UNPREPARED
-from mjgranular.engine.tuning import INITIAL, STATE_SIZE
+from mjgranular.engine.tuning import (
+    ACTIVE,
+    DENSITY,
+    HEIGHT,
+    INITIAL,
+    STATE_SIZE,
+    STRENGTH,
+    TUNING_DTYPE,
+)
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.intrinsics import address_of, c_function, call_step, publish
 from mjgranular.kernel.memory import (
@@ -25,6 +37,7 @@ from mjgranular.kernel.memory import (
     DOF_PARENT,
     NBODY,
     NV,
+    SCENE,
     SUBTREE_COM,
     UPDATE,
     XIPOS,
@@ -37,7 +50,7 @@ from mjgranular.kernel.memory import (
     table_at,
 )
 from mjgranular.kernel.options import has_passive_forces, options_of
-from mjgranular.kernel.records import bodies_of
+from mjgranular.kernel.records import bodies_of, contacts_of
 from mjgranular.scheme.status import BAD_TIMESTEP, REFUSED
 
 FUNCTIONS = ("mjv_initGeom", "mjv_connector")
@@ -49,7 +62,10 @@ Callbacks = dict[str, tuple[Any, str]]
 _RK4 = int(mujoco.mjtIntegrator.mjINT_RK4)
 _SENSOR = 1 << 1  # mjPLUGIN_SENSOR
 _BEGIN = HEADER_DTYPE.itemsize
+_APPLIED = int(HEADER_DTYPE.fields["applied"][1])  # pyright: ignore[reportOptionalSubscript]
 
+_tunings = records(TUNING_DTYPE)
+_states, _addresses = field("mjData", "plugin_state"), field("mjModel", "plugin_stateadr")
 _relocations = records(RELOCATION_DTYPE)
 _shapes = records(SHAPE_DTYPE)
 _bytes = records(np.dtype(np.uint8))
@@ -65,6 +81,91 @@ _other_shape = ctypes.create_string_buffer(
 )
 publish(_OTHER_SHAPE, ctypes.addressof(_other_shape))
 other_shape = address_of(_OTHER_SHAPE)
+
+
+@compiled
+def is_reasonable(state):
+    """Return True if all numbers of a state are finite, and none but the height negative."""
+    for k in range(STATE_SIZE):
+        if not math.isfinite(state[k]) or (k != HEIGHT and state[k] < 0.0):
+            return False
+    return True
+
+
+@compiled
+def invalidate_forces(header):
+    """Set forces to NaN: MuJoCo finds them, warns and resets, as with any bad state."""
+    table = table_at(header.table)
+    bodies = bodies_of(table)
+    forces = floats(header.qfrc, table[NV])
+    for slot in range(len(bodies)):
+        forces[bodies[slot].last_dof] = math.nan
+
+
+@compiled
+def clear_results(header):
+    """Clear the results for sensors and drawings."""
+    table = table_at(header.table)
+    bodies = bodies_of(table)
+    for slot in range(len(bodies)):
+        for k in range(6):
+            bodies[slot].wrench[k] = 0.0
+    contacts = contacts_of(table)
+    for i in range(len(contacts)):
+        contacts[i].depth = 0.0
+
+
+@compiled
+def rescale(header, state):
+    """Scale the block's scene from its initial values, so that changes do not accumulate."""
+    count = header.tuning_count
+    tunings = _tunings(header.tunings, count)
+    scene = table_at(header.table)[SCENE]
+    for i in range(count):
+        tuning = tunings[i]
+        value = tuning.base
+        if tuning.number == STRENGTH:
+            value *= state[STRENGTH]
+        elif tuning.number == DENSITY:
+            value *= state[DENSITY]
+        else:
+            value += tuning.rate * state[HEIGHT]
+        floats(scene + 8 * tuning.word, 1)[0] = value
+
+
+@compiled
+def state_of(model, data, instance):
+    """Return the address of the state of a plugin instance."""
+    return _states(data) + 8 * ints(_addresses(model), instance + 1)[instance]
+
+
+@compiled
+def adjust(block, model, data, instance):
+    """Apply the state of a tunable instance; return whether forces are to be computed.
+
+    One `mjData` may serve many simulations in turn, so each call compares the state with the one
+    last applied, bit by bit.
+    """
+    header = header_at(block)
+    address = state_of(model, data, instance)
+    state, bits = floats(address, STATE_SIZE), longs(address, STATE_SIZE)
+    applied = longs(block + _APPLIED, STATE_SIZE)
+    known = header.tuned != 0
+    for k in range(STATE_SIZE):
+        known = known and bits[k] == applied[k]
+    if not known:
+        if not is_reasonable(state):
+            header.tuned = 0
+            clear_results(header)
+            invalidate_forces(header)
+            return False
+        rescale(header, state)
+        if state[ACTIVE] == 0.0:
+            clear_results(header)
+        for k in range(STATE_SIZE):
+            applied[k] = bits[k]
+        header.tuned = 1
+    return state[ACTIVE] != 0.0
 
 
 @partial(compiled, inline=True)

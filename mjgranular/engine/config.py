@@ -5,8 +5,6 @@ a name and its options, as in a shell: `link eta_d=7`, `bed geom='my tray'`. Num
 that they are read back exactly.
 """
 
-from __future__ import annotations
-
 import math
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
@@ -17,9 +15,10 @@ from typing import Any
 
 import numpy as np
 
+from mjgranular._util.checks import check_count
 from mjgranular._util.parse import read_value, split_words
 from mjgranular._util.registry import Registry
-from mjgranular.errors import GranularError, InputError, UnknownNameError, shown
+from mjgranular.errors import GranularError, InputError, UnknownNameError
 from mjgranular.law import laws
 from mjgranular.medium import Medium, get_medium, media
 from mjgranular.relief.memory import Memory, as_memory
@@ -46,14 +45,11 @@ DRAWINGS = ("forces", "depth", "surface")
 
 @dataclass(frozen=True)
 class Config:
-    """Configuration of an instance, parsed.
-
-    `draw` has names from `DRAWINGS`; `tunable` sand has its own state (`engine.tuning`).
-    """
+    """Configuration of an instance, parsed."""
 
     sand: SandSpec
-    draw: tuple[str, ...] = ()
-    tunable: bool = False
+    draw: tuple[str, ...] = ()  # names from `DRAWINGS`
+    tunable: bool = False  # whether it has its own state (`engine.tuning`)
 
 
 def read_config(texts: Mapping[str, str]) -> Config:
@@ -137,8 +133,7 @@ def named(key: str) -> Iterator[None]:
 
 def _read_resolution(text: str) -> int:
     resolution = read_value(text, int, "resolution")
-    if resolution < 1:
-        raise InputError(f"resolution must be at least 1, not {shown(resolution)}")
+    check_count("resolution", resolution)
     return resolution
 
 

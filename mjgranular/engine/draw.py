@@ -1,7 +1,5 @@
 """Arrows, dots and sand with tracks that the plugin adds to scenes of MuJoCo's visualizer."""
 
-from __future__ import annotations
-
 import math
 
 import mujoco
@@ -27,7 +25,7 @@ from mjgranular.kernel.records import bodies_of, contacts_of
 from mjgranular.kernel.structs import record_of
 from mjgranular.kernel.vector import cross, dot, read_vector, vector, write_vector
 from mjgranular.render.track_kernel import FRAME_DTYPE, canvases
-from mjgranular.surface.plane import PLANE_DTYPE
+from mjgranular.surface.surface import PLANE_DTYPE
 
 GEOM_DTYPE = record_of("mjvGeom")
 _SIZE = GEOM_DTYPE.itemsize

@@ -9,8 +9,6 @@ MuJoCo calls plugins after its own sensors of the acceleration stage, whose valu
 sand. If there are such sensors, they are computed again.
 """
 
-from __future__ import annotations
-
 import mujoco
 
 from mjgranular._util.checks import check_data, check_model
@@ -121,10 +119,5 @@ def rne_post_constraint(model: mujoco.MjModel, data: mujoco.MjData) -> None:
     mujoco.mj_rnePostConstraint(model, data)
     names = sands_in(model)
     if names:
-        include = entry(_include, "int64(int64, int64, int64)")
+        include = entry(include_sand, "boolean(int64, int64, int64)")
         include(model._address, data._address, instance_of(model, names[0]))
-
-
-@compiled
-def _include(model, data, first):
-    return int(include_sand(model, data, first))

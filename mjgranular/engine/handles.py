@@ -7,8 +7,6 @@ else the right one is searched. Rows are written under a lock when simulations a
 without one: a row that names an `mjData` changes only together with it.
 """
 
-from __future__ import annotations
-
 import ctypes
 from functools import cache
 from typing import Any

@@ -1,7 +1,5 @@
 """The sands in a model, and the bodies they act on, read from the model."""
 
-from __future__ import annotations
-
 import ctypes
 from collections.abc import Iterator
 
@@ -14,8 +12,7 @@ from mjgranular.errors import InputError, UnknownNameError
 from mjgranular.kernel.engine import library
 from mjgranular.law import Law
 from mjgranular.medium import Medium
-from mjgranular.relief.heights import Heights, heights_of
-from mjgranular.relief.memory import Memory, as_memory
+from mjgranular.relief.memory import Heights, Memory, as_memory, heights_of
 from mjgranular.relief.relief import place_in_plane
 from mjgranular.sand.chosen import geoms_in_sand
 from mjgranular.sand.material import material_of

@@ -6,8 +6,6 @@ the next `mjData` of the model, or of another that is the same in these inputs, 
 copy of a block.
 """
 
-from __future__ import annotations
-
 import ctypes
 import hashlib
 from collections import OrderedDict
@@ -23,12 +21,11 @@ from mujoco.introspect.ast_nodes import PointerType
 
 from mjgranular._util.names import name_of
 from mjgranular.engine import sensor
-from mjgranular.engine.block import HEADER_DTYPE, NO_PASSIVE, make_image
+from mjgranular.engine.block import HEADER_DTYPE, NO_PASSIVE, NO_RELOCATIONS, Image, make_image
 from mjgranular.engine.config import DRAWINGS, KEYS, named, read_config
 from mjgranular.engine.handles import HandleTable
 from mjgranular.engine.instances import NAME, config_texts, instance_name, plugin_slot
 from mjgranular.engine.measures import SENSOR, SENSOR_KEYS
-from mjgranular.engine.relocation import NO_RELOCATIONS, Image
 from mjgranular.engine.tuning import NO_TUNINGS, STATE_SIZE, make_tunings
 from mjgranular.errors import InputError, UnknownNameError
 from mjgranular.kernel.compiled import program_address
@@ -77,29 +74,16 @@ _KEYS_OF_KINDS = {
 
 @dataclass(frozen=True)
 class Prepared:
-    """The sand of one instance in a model.
+    """The sand of one instance in a model."""
 
-    Attributes:
-        image: image of its block.
-        bodies: names of the bodies that meet it by their ids, in its order.
-        geoms: names of the geoms that have elements, by their ids.
-        disabled: geoms whose contacts are off (`sand.prepare`).
-        hidden: geoms that are sand and are replaced by its tracks in drawings.
-        place: its place in words, if that is fixed; None for sand that can be switched off
-            (`tunable`).
-        draws: whether anything is drawn.
-        origin: the medium and `_registered`; kept alive because the cache key contains their
-            identities.
-    """
-
-    image: Image
-    bodies: dict[int, str]
-    geoms: dict[int, str]
-    disabled: tuple[int, ...]
-    hidden: tuple[int, ...]
-    place: str | None
-    draws: bool
-    origin: object
+    image: Image  # of its block
+    bodies: dict[int, str]  # names of the bodies that meet it by their ids, in its order
+    geoms: dict[int, str]  # names of the geoms that have elements, by their ids
+    disabled: tuple[int, ...]  # geoms whose contacts are off (`sand.prepare`)
+    hidden: tuple[int, ...]  # geoms that are sand, and replaced by its tracks in drawings
+    place: str | None  # in words, if fixed; None for sand that can be switched off (`tunable`)
+    draws: bool  # whether anything is drawn
+    origin: object  # medium and `_registered`: kept alive, as the cache key has their identities
 
 
 class Loader:
@@ -199,7 +183,8 @@ class Loader:
         return prepared
 
     def _make(self, key: bytes, model: int, instance: int, texts: dict[str, str]) -> Prepared:
-        prepared = _prepare(_copy(model), instance, texts)
+        copy = mujoco.MjModel._from_model_ptr(library().mj_copyModel(None, model))
+        prepared = _prepare(copy, instance, texts)
         if prepared.draws and not self._draws:
             self._draw()
             self._draws = True
@@ -274,11 +259,6 @@ def _sands(model: int) -> dict[str, int]:
 
 def _pointer(address: int) -> int:
     return ctypes.c_int64.from_address(address).value
-
-
-def _copy(model: int) -> mujoco.MjModel:
-    """Return a Python model from a pointer to an engine model."""
-    return mujoco.MjModel._from_model_ptr(library().mj_copyModel(None, model))
 
 
 def _medium_now(text: str) -> object:

@@ -5,8 +5,6 @@ would end a process that has not imported mjgranular. So a model with sand is pi
 function of this module, which cannot be found without the import.
 """
 
-from __future__ import annotations
-
 import copyreg
 from collections.abc import Callable
 from typing import Any
@@ -20,21 +18,13 @@ PROTOCOL = 4  # of `__reduce_ex__`
 
 def register() -> None:
     """Have `pickle`, and what is built on it, use this module for MuJoCo's models and data."""
-    copyreg.pickle(mujoco.MjModel, _reduce_model)
-    copyreg.pickle(mujoco.MjData, _reduce_data)
+    copyreg.pickle(mujoco.MjModel, lambda model: _reduce(model, model))
+    copyreg.pickle(mujoco.MjData, lambda data: _reduce(data, data.model))
 
 
 def restore(make: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
     """Restore what was pickled, after the plugins are registered."""
     return make(*arguments)
-
-
-def _reduce_model(model: mujoco.MjModel) -> tuple[Any, ...]:
-    return _reduce(model, model)
-
-
-def _reduce_data(data: mujoco.MjData) -> tuple[Any, ...]:
-    return _reduce(data, data.model)
 
 
 def _reduce(one: Any, model: mujoco.MjModel) -> tuple[Any, ...]:

@@ -6,8 +6,6 @@ first model with sand adds compiled functions. A program that imports mjgranular
 plugin pays almost nothing.
 """
 
-from __future__ import annotations
-
 import ctypes
 import logging
 import threading
@@ -119,7 +117,12 @@ class Engine:
         """
         answer = Answer.from_address(place)
         try:
-            self._serve(plugin, model, data, instance)
+            if is_preparing():
+                self._loader.clear_slot(data, instance)
+            else:
+                if plugin.name not in self._active:
+                    prepare_in_worker(lambda: self._activate(plugin))
+                self._loader.load(model, data, instance)
             answer[0] = FINE
         except Exception as error:
             self._refuse(error, model, data, instance, answer)
@@ -129,14 +132,6 @@ class Engine:
                 return
             answer[0] = INTERRUPT
             raise_later(error)
-
-    def _serve(self, plugin: Plugin, model: int, data: int, instance: int) -> None:
-        if is_preparing():
-            self._loader.clear_slot(data, instance)
-            return
-        if plugin.name not in self._active:
-            prepare_in_worker(lambda: self._activate(plugin))
-        self._loader.load(model, data, instance)
 
     def _refuse(
         self, error: BaseException, model: int, data: int, instance: int, answer: ctypes.Array[Any]
@@ -187,14 +182,8 @@ class Engine:
 
         publish_functions(library(), callbacks.FUNCTIONS)
         if self._loader is None:
-            self._loader = Loader(self._draw)
+            self._loader = Loader(partial(self._put, NAME, callbacks.DRAWING))
         self._put(plugin.name, callbacks.SAND if plugin.name == NAME else callbacks.SENSOR)
-
-    def _draw(self) -> None:
-        """Activate drawing."""
-        from mjgranular.engine import callbacks
-
-        self._put(NAME, callbacks.DRAWING)
 
     def _put(self, plugin: str, callbacks: Mapping[str, tuple[Any, str]]) -> None:
         """Compile functions and have MuJoCo call them."""

@@ -1,7 +1,5 @@
 """Readings of a sand inside `mj_step`, for Python: sensor values in a model without sensors."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 

@@ -4,8 +4,6 @@ It reads the results of the sand in the same `mjData`. It is a separate plugin s
 without such sensors does not pay for them.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 

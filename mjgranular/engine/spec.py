@@ -1,7 +1,5 @@
 """Write sand into an `MjSpec`."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import chain, count
 from typing import Unpack

@@ -11,8 +11,6 @@ and the interrupt is raised as soon as it returns. From then on that `mjData`, i
 counts as one whose sand is not prepared.
 """
 
-from __future__ import annotations
-
 import ctypes
 import signal
 import threading

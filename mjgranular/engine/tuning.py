@@ -6,8 +6,6 @@ copied and batched with it. They change a list of numbers in the record that ker
 surface, made from each law's own description of its fields; `adjust` applies it.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import mujoco
@@ -93,7 +91,12 @@ def tune(
             negative or not finite. Then nothing is written.
     """
     check_model(model, "tune")
-    _check_state(state)
+    if not isinstance(state, np.ndarray):
+        meant = "; use data.plugin_state" if isinstance(state, mujoco.MjData) else ""
+        raise InputError(
+            "tune writes to an array, data.plugin_state or batch.bind('plugin_state'), not to "
+            f"{kind_of(state)}{meant}"
+        )
     instance = instance_of(model, name)
     if model.plugin_statenum[instance] != STATE_SIZE:
         raise InputError(
@@ -114,16 +117,6 @@ def tune(
     first = int(model.plugin_stateadr[instance])
     for key, value in given.items():
         state[..., first + STATE.index(key)] = value
-
-
-def _check_state(state: Any) -> None:
-    """Check that a state is an array of numbers."""
-    if not isinstance(state, np.ndarray):
-        meant = "; use data.plugin_state" if isinstance(state, mujoco.MjData) else ""
-        raise InputError(
-            "tune writes to an array, data.plugin_state or batch.bind('plugin_state'), not to "
-            f"{kind_of(state)}{meant}"
-        )
 
 
 def _number(key: str, value: Any, rows: tuple[int, ...]) -> np.ndarray:

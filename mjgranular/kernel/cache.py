@@ -11,8 +11,6 @@ loaded only if each of its files is as it was written, by this user or the admin
 directories that others can write to are neither read nor written.
 """
 
-from __future__ import annotations
-
 import errno
 import hashlib
 import os

@@ -1,7 +1,5 @@
 """Compile kernels with numba, and cache the programs made of them."""
 
-from __future__ import annotations
-
 import logging
 import subprocess
 import sys
@@ -19,8 +17,8 @@ with compiling():
     from numba.extending import typeof_impl
 
 from mjgranular.kernel import cache
+from mjgranular.kernel.compiler import ALWAYS, ONCE, report_compiling
 from mjgranular.kernel.digest import build, digest, names_in_closure, stable_name
-from mjgranular.kernel.progress import ALWAYS, ONCE, report_compiling
 from mjgranular.kernel.threads import PROGRAMS, cancellation_point, uninterrupted
 
 _logger = logging.getLogger(__name__)

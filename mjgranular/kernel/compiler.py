@@ -1,10 +1,10 @@
-"""Supported versions of numba, and errors that are short."""
+"""Supported versions of numba, errors that are short, and reports of compilation."""
 
-from __future__ import annotations
-
+import logging
 import re
+import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib.metadata import PackageNotFoundError, version
 
 from mjgranular.errors import GranularError
@@ -77,3 +77,28 @@ def _is_tested() -> bool:
 
 def _numbers(text: str) -> tuple[int, ...]:
     return tuple(int(number) for number in text.split(".")[:2] if number.isdigit())
+
+
+ONCE = "once on a machine, up to a minute"
+ALWAYS = "in every process, as no folder for compiled kernels can be written (see NUMBA_CACHE_DIR)"
+
+_logger = logging.getLogger("mjgranular.kernel.compiled")
+_reported = False
+
+
+def report_compiling(how_often: str, what: str) -> None:
+    """Report that kernels are compiled now: each program of a sand, and the rest once.
+
+    The report goes to the log, which the command line shows. If the log is not shown, it is printed
+    to a terminal.
+    """
+    global _reported
+    if what:
+        _logger.info("compiling for %s: %s", what, how_often, extra={"sand": what})
+    new, _reported = bool(what) or not _reported, True
+    if new and not (_logger.isEnabledFor(logging.INFO) and _logger.hasHandlers()):
+        # A program without a console has no stderr, and a closed one cannot be queried.
+        with suppress(AttributeError, OSError, ValueError):
+            if sys.stderr.isatty():
+                kernels = f"for {what}" if what else "kernels"
+                print(f"mjgranular: compiling {kernels}: {how_often}", file=sys.stderr)

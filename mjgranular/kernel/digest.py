@@ -1,7 +1,5 @@
 """Digests of kernels that are the same in every process, and change with the kernel."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import re

@@ -5,8 +5,6 @@ in them. These are within a few units in the last place of the true values, and 
 processor.
 """
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any
 

@@ -4,8 +4,6 @@ Cached machine code must not contain addresses: functions are called by name, re
 is loaded.
 """
 
-from __future__ import annotations
-
 import ctypes
 import sys
 from functools import cache
@@ -60,6 +58,7 @@ constraint_references = _function("mj_referenceConstraint", _ADDRESS, _ADDRESS)
 forward_constraint = _function("mj_fwdConstraint", _ADDRESS, _ADDRESS)
 forces_on_bodies = _function("mj_rnePostConstraint", _ADDRESS, _ADDRESS)
 sensors_of_acceleration = _function("mj_sensorAcc", _ADDRESS, _ADDRESS)
+get_state = _function("mj_getState", _ADDRESS, _ADDRESS, _ADDRESS, _INT)
 solve_inertia = _function("mj_solveM", _ADDRESS, _ADDRESS, _ADDRESS, _ADDRESS, _INT)
 smooth_derivative = _function("mjd_smooth_vel", _ADDRESS, _ADDRESS, _INT)
 is_sparse = _function("mj_isSparse", _ADDRESS, result=_INT)

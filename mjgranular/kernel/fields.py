@@ -6,8 +6,6 @@ a fixed stride apart: several values can be stored side by side, one in each *la
 by one (`column`) or all at once, as `Lanes` (`rows`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache

@@ -4,8 +4,6 @@ Cached code must not contain addresses, which differ in every process. It contai
 resolves when the code is loaded. Only this module uses llvmlite directly.
 """
 
-from __future__ import annotations
-
 import ctypes
 from collections.abc import Iterable
 from functools import cache

@@ -7,8 +7,6 @@ branch; `all_of` makes one branch for all lanes. A function of these works on nu
 Each lane is IEEE arithmetic, the same on every processor.
 """
 
-from __future__ import annotations
-
 import itertools
 import operator
 from collections.abc import Callable

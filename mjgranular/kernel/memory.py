@@ -6,12 +6,9 @@ fixed while the `MjData` lives, so one table of addresses replaces them. An engi
 gets only the `mjData*` and no NumPy arrays, fills the same table.
 """
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Any
 
-import mujoco
 import numpy as np
 from llvmlite import ir
 from mujoco.introspect.ast_nodes import PointerType
@@ -23,7 +20,7 @@ from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.intrinsics import intrinsic
 from mjgranular.kernel.structs import fields_of, offset_of
 
-# The table: six numbers, then addresses. The order is that of `simulation_table`. INTEGRATORS has a
+# The table: six numbers, then addresses. `sand.binding` fills it. INTEGRATORS has a
 # bit for each integrator that can be stepped, LONGEST_STEP is in nanoseconds (`scheme.status`).
 # Within `mj_step` (`engine.block`) XFRC, WARNINGS and SNAPSHOT are 0: there MuJoCo handles them.
 # STATE to UPDATE belong to a surface with memory: the address of its state, the number of values in
@@ -37,57 +34,6 @@ STATE, STATE_SIZE, UPDATE, SAMPLING, LAW, SURFACE = range(23, 29)
 TABLE_SIZE = 29
 
 _WORD = ir.IntType(64)
-
-
-def simulation_table(
-    model: mujoco.MjModel,
-    data: mujoco.MjData,
-    *,
-    packed: np.ndarray,
-    count: int,
-    bodies: np.ndarray,
-    scene: np.ndarray,
-    contacts: np.ndarray,
-    spans: np.ndarray,
-    workspace: np.ndarray,
-    options: int,
-    integrators: int,
-    longest_step: int,
-    state: np.ndarray,
-    update: int,
-    sampling: int,
-    forces: int,
-) -> np.ndarray:
-    """Make the table of sizes and addresses, shape (29,), int64.
-
-    `packed` has the law's elements, `count` of them, as its program reads them; `integrators` has a
-    bit for each that can be stepped; `longest_step` is in nanoseconds; `options`, `update`,
-    `sampling` and `forces` are addresses, 0 for no program. It keeps nothing alive: all arguments
-    must outlive every use of it.
-    """
-    arrays = (
-        model.dof_parentid,
-        data.xpos,
-        data.xmat,
-        data.xipos,
-        data.subtree_com,
-        data.cvel,
-        data.cdof,
-        data.qacc_warmstart,
-        data.xfrc_applied,
-        data.warning.number,
-        packed,
-        bodies,
-        scene,
-        contacts,
-        spans,
-        workspace,
-    )
-    numbers = (model.nbody, model.nv, count, len(bodies), integrators, longest_step)
-    addresses = (options, *(array.ctypes.data for array in arrays))
-    remembered = (state.ctypes.data if state.size else 0, state.size, update)
-    surface = scene["surface"].ctypes.data - scene.ctypes.data
-    return np.array([*numbers, *addresses, *remembered, sampling, forces, surface], dtype=np.int64)
 
 
 def emit_array(

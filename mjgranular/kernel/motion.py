@@ -4,22 +4,19 @@ MuJoCo's `cvel` and the columns of `cdof` are spatial vectors (angular, linear) 
 mass of the kinematic tree, world axes; sums of them need no Jacobian.
 """
 
-from __future__ import annotations
-
-from collections import namedtuple
 from functools import partial
+from typing import NamedTuple
 
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.memory import CDOF, DOF_PARENT, NV, WARMSTART, ints, row_of
-from mjgranular.kernel.vector import cross, read_vector, vector, write_vector
+from mjgranular.kernel.vector import Vector, cross, read_vector, vector, write_vector
 
-Motion = namedtuple("Motion", ["angular", "linear"])
-Motion.__doc__ = """A spatial velocity.
 
-Attributes:
-    angular: velocity [rad/s], a vector.
-    linear: velocity of the point that coincides with the tree's center of mass [m/s], a vector.
-"""
+class Motion(NamedTuple):
+    """A spatial velocity."""
+
+    angular: Vector  # [rad/s]
+    linear: Vector  # of the point that coincides with the tree's center of mass [m/s]
 
 
 @compiled

@@ -3,8 +3,6 @@
 Nothing that depends on them is stored: compiled code reads `mjOption` in place in `mjModel`.
 """
 
-from __future__ import annotations
-
 from functools import partial
 
 import mujoco

@@ -1,7 +1,5 @@
 """Records that kernels fill: one for each body in the sand, and one for each element."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np

@@ -4,8 +4,6 @@ No compiler is available here to read MuJoCo's headers, which differ between ver
 is trusted once it agrees with what Python shows of the same memory (`check_layout`).
 """
 
-from __future__ import annotations
-
 import ctypes
 from collections.abc import Iterator
 from functools import cache

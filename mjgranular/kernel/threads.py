@@ -10,8 +10,6 @@ So such work is done in another thread, which is not interrupted: only the waiti
 delays the interrupt until nothing can be damaged.
 """
 
-from __future__ import annotations
-
 import _thread
 import os
 import sys

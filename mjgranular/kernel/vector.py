@@ -4,8 +4,6 @@ The components are numbers, lanes (`kernel.lanes`) or vectors themselves. A vect
 the compiler keeps its three values in registers as it would separate variables.
 """
 
-from __future__ import annotations
-
 import math
 import operator
 from functools import partial

@@ -3,8 +3,6 @@
 Kernels pass such a record as one word, its address; each array would take seven.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,4 +1,4 @@
 """Sand with memory: tracks and rims that bodies have made, as heights over a surface."""
 
-from mjgranular.relief.heights import Heights as Heights
+from mjgranular.relief.memory import Heights as Heights
 from mjgranular.relief.memory import Memory as Memory

@@ -1,7 +1,5 @@
 """Footprints: points on the surface of bodies that press sand down, at most a cell apart."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -45,18 +43,11 @@ _BESIDE = 0.5  # extent beyond the bodies themselves, both sides together [m]; c
 
 @dataclass(frozen=True)
 class Footprint:
-    """Surface points, geom by geom.
+    """Surface points, geom by geom."""
 
-    Attributes:
-        points: tiles, shape (n, 6, LANES); the last of a geom is padded with its last point.
-        spheres: a sphere around the points of each tile: center and radius [m], body frame, shape
-            (n, 4).
-        feet: rows of `FOOT_DTYPE`, one for each geom, body by body.
-    """
-
-    points: np.ndarray
-    spheres: np.ndarray
-    feet: np.ndarray
+    points: np.ndarray  # tiles, shape (n, 6, LANES); the last of a geom repeats its last point
+    spheres: np.ndarray  # around each tile: center and radius [m], body frame, shape (n, 4)
+    feet: np.ndarray  # rows of `FOOT_DTYPE`, one for each geom, body by body
 
 
 def surroundings_of(model: mujoco.MjModel, geoms: Sequence[int], memory: Memory) -> float:

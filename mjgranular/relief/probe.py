@@ -15,8 +15,6 @@ A steep face is resisted by the sand ahead of it, a cell and a half away; a flat
 under it.
 """
 
-from __future__ import annotations
-
 from functools import cache, partial
 from typing import Any
 

@@ -1,7 +1,5 @@
 """`Relief`: a surface with memory, as laws and schemes see it."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache

@@ -3,17 +3,23 @@
 It runs once per step, after the forces of that step, with the present poses of bodies: forces are
 those of the sand as the last step left it. So a force is a function of the state alone, however
 often it is evaluated.
-"""
 
-from __future__ import annotations
+Sand flows down where it is steeper than its angle of repose. A slope is that of a triangle: a node
+and its two neighbors along the axes. A square of four nodes has four triangles, and the steepest of
+them is leveled. The steepness of a triangle is convex in its heights; they move against its
+gradient, whose components sum to zero. So each move is a step of a projection onto a convex set:
+the distance to every state that satisfies all bounds does not grow, and no volume is lost.
+"""
 
 import math
 from functools import cache, partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from mjgranular.kernel.compiled import compiled, program_address
+from mjgranular.kernel.fields import rows
+from mjgranular.kernel.lanes import all_of, choose
 from mjgranular.kernel.memory import (
     SCENE,
     SURFACE,
@@ -22,30 +28,424 @@ from mjgranular.kernel.memory import (
     floats,
     records,
     row_of,
+    scratch,
     table_at,
 )
 from mjgranular.kernel.options import NO_GRAVITY, options_at
-from mjgranular.kernel.vector import norm, read_matrix, read_vector, vector, write_vector
-from mjgranular.relief.flow import flow_kernel, look_through
-from mjgranular.relief.footprint import FOOT_DTYPE, TILE
+from mjgranular.kernel.vector import (
+    Vector,
+    dot,
+    norm,
+    read_matrix,
+    read_vector,
+    vector,
+    write_vector,
+)
+from mjgranular.relief.footprint import FOOT_DTYPE, LANES, TILE
 from mjgranular.relief.grid import (
     ACTIVE,
     COVERED,
+    FLOWS,
+    HEAPED,
+    HEIGHT,
     HIGHEST,
+    LISTS,
     MOST_POSES,
     POSE,
     POSES,
     PRESSED,
+    ROW,
+    SEEN,
+    SETTLED,
     SETTLES,
     SINCE_FLOWED,
     SINCE_PRESSED,
+    UNDER,
+    UNMARKED,
     WAITING,
+    activate,
+    add_height,
+    base_at,
+    base_beside,
+    base_of,
+    begin_covering,
+    claim,
+    corner_of,
+    count_at,
+    cover,
+    end_covering,
+    listed_at,
+    mark_at,
+    node_of,
+    own_mark,
+    row_at,
+    set_mark,
+    start_of,
+    wrapped,
 )
-from mjgranular.relief.lists import begin_covering, count_at, end_covering
-from mjgranular.relief.press import bottom_of, heap, lowest_of, press_kernel
 from mjgranular.relief.probe import level_kernel, state_length
 from mjgranular.relief.relief import Relief
 from mjgranular.surface import Surface
+
+LEAST = 0.1
+"""Least height that is pressed down at once, relative to the slack, within which force does not
+change. Chosen: slowly creeping bodies then update rarely."""
+
+FACES_DOWN = -math.sin(math.radians(1.0))
+"""Largest component of a normal along the sand's for which a surface presses sand down: steeper
+faces cover no area. Chosen."""
+
+
+class Skin(NamedTuple):
+    """A surface point, as kernels read it (`footprint.POINT_DTYPE`)."""
+
+    point: Vector
+    normal: Vector
+
+
+@partial(compiled, inline=True)
+def is_sand(relief, u, v):
+    """Return True if a place is within the sand."""
+    return abs(u) <= relief.half_along and abs(v) <= relief.half_across
+
+
+@partial(compiled, inline=True)
+def has_edges(relief):
+    """Return True if there are places outside the sand."""
+    return relief.half_along < math.inf or relief.half_across < math.inf
+
+
+@partial(compiled, inline=True)
+def lowest_of(foot, turn, shift):
+    """Return the height of the lowest corner of the box around a body's points over the plane [m].
+
+    The plane's axes in the body frame are `turn`; the frame's position along them is `shift` [m].
+    """
+    n, half = turn.z, read_vector(foot.half, 0)
+    reach = abs(n.x) * half.x + abs(n.y) * half.y + abs(n.z) * half.z
+    return dot(n, read_vector(foot.middle, 0)) + shift.z - reach
+
+
+@partial(compiled, inline=True)
+def bottom_of(relief, tile, turn, shift):
+    """Return a height over the plane below which no point of a tile is [m]."""
+    sphere = row_of(relief.spheres, tile, 4)
+    return dot(turn.z, read_vector(sphere, 0)) + shift.z - sphere[3]
+
+
+@partial(compiled, inline=True)
+def skin_at(z, slope_u, slope_v, du, dv, cell):
+    """Return the height of a body's surface at an offset from one of its points [m].
+
+    It is that of the tangent plane where that rises; infinite if that is more than a cell higher,
+    since nearer points determine the height there.
+    """
+    rise = max(slope_u * du + slope_v * dv, 0.0)
+    return z + rise if rise <= cell else math.inf
+
+
+@cache
+def press_kernel(level: Any, is_flat: bool) -> Any:
+    """Make a kernel `press(state, relief, turn, shift, points)`: the volume pressed down [m^3].
+
+    Sand that reaches the surface of a body is pressed down: at the four nodes around a surface
+    point, to the height of the point or, where the surface rises beside it, to its tangent plane.
+    Upright surfaces press nothing down, nor do those that face upward. The points are one tile,
+    `LANES` of them.
+    """
+    read, write, room = rows(Skin, LANES).read, rows(float, LANES).write, scratch(5 * LANES)
+
+    @compiled
+    def press_at(state, relief, z, u, v, slope_u, slope_v):
+        """Press at one point, from its position and the slopes of the body's surface there."""
+        if not is_sand(relief, u, v):
+            return 0.0
+        cell, size, blocks = relief.cell, relief.size, relief.blocks
+        i, j, _, _ = corner_of(cell, u, v)
+        row, column, first = i % size, j % size, base_of(i, j)
+        area, volume, heights = cell * cell, 0.0, start_of(size, HEIGHT)
+        for di in range(2):
+            for dj in range(2):
+                x, y = (i + di) * cell, (j + dj) * cell
+                skin = skin_at(z, slope_u, slope_v, x - u, y - v, cell) - level(relief, x, y)
+                k = wrapped(row + di, size) * size + wrapped(column + dj, size)
+                base = base_beside(first, di, dj)
+                is_own = own_mark(state, size, k, base) >= 0.0
+                height = state[heights + k] if is_own else 0.0
+                if not height > skin or not is_sand(relief, x, y):
+                    continue
+                if not is_own:
+                    claim(state, size, blocks, area, k, base)
+                cover(state, size, k)
+                lowered = height - skin - relief.slack
+                if lowered > LEAST * relief.slack:
+                    add_height(state, size, blocks, k, -lowered)
+                    volume += area * lowered
+        return volume
+
+    @compiled
+    def press(state, relief, turn, shift, points):
+        skin, place = read(points, 0), room()
+        z = dot(turn.z, skin.point) + shift.z
+        # The axis of a rod has no face; it acts in all directions.
+        has_face = dot(skin.normal, skin.normal) > 0.5
+        downward = choose(has_face, dot(turn.z, skin.normal), -1.0)
+        reach = choose(downward <= FACES_DOWN, z, math.inf)
+        highest = state[HIGHEST] if is_flat else math.inf
+        if all_of(reach >= highest):
+            return 0.0
+        write(place, 0, reach)
+        write(place, LANES, dot(turn.x, skin.point) + shift.x)
+        write(place, 2 * LANES, dot(turn.y, skin.point) + shift.y)
+        normal = turn @ skin.normal
+        scale = choose(has_face, -1.0 / normal.z, 0.0)
+        write(place, 3 * LANES, choose(has_face, scale * normal.x, 0.0))
+        write(place, 4 * LANES, choose(has_face, scale * normal.y, 0.0))
+        volume = 0.0
+        for lane in range(LANES):
+            if place[lane] < highest:
+                volume += press_at(
+                    state,
+                    relief,
+                    place[lane],
+                    place[LANES + lane],
+                    place[2 * LANES + lane],
+                    place[3 * LANES + lane],
+                    place[4 * LANES + lane],
+                )
+        return volume
+
+    return press
+
+
+@compiled
+def heap(state, relief, first, volume):
+    """Deposit sand around a body: each edge node of its track on all nodes within two cells.
+
+    `first` is the first of the listed places under the body, which are the last in the list; the
+    volume is in m^3.
+    """
+    volume += state[WAITING]
+    if not volume > 0.0:
+        return
+    cell, size, blocks, has_edge = relief.cell, relief.size, relief.blocks, has_edges(relief)
+    heights, lists, area = start_of(size, HEIGHT), start_of(size, LISTS), cell * cell
+    last = count_at(state, size, COVERED)
+    # Nodes found are stored between the lists, with space for all of them in the second.
+    room, found = (size * size - last - count_at(state, size, ACTIVE)) // 2, 0
+    for n in range(first, last):
+        k = listed_at(state, size, n)
+        row, middle = row_at(size, k), base_at(state, size, k)
+        column = k - row * size
+        at_edge = False
+        for di in range(-1, 2):
+            begin = wrapped(row + di, size) * size
+            for dj in range(-1, 2):
+                q = begin + wrapped(column + dj, size)
+                mark = own_mark(state, size, q, base_beside(middle, di, dj))
+                at_edge = at_edge or mark < UNDER
+        if not at_edge:
+            continue
+        i, j = node_of(middle)
+        for di in range(-2, 3):
+            begin = wrapped(row + di, size) * size
+            for dj in range(-2, 3):
+                q, base = begin + wrapped(column + dj, size), base_beside(middle, di, dj)
+                mark = own_mark(state, size, q, base)
+                # A place with a body in the last step most likely still has one, if not yet
+                # processed.
+                if mark >= UNDER or found == room:
+                    continue
+                if has_edge and not is_sand(relief, (i + di) * cell, (j + dj) * cell):
+                    continue
+                if mark < 0.0:
+                    claim(state, size, blocks, area, q, base)
+                state[lists + last + found] = q
+                found += 1
+    if found == 0:
+        state[WAITING] = volume
+        return
+    share = min(volume / (found * area), cell)  # the rest waits
+    for n in range(found):
+        q = int(state[lists + last + n])
+        add_height(state, size, blocks, q, share)
+        state[HIGHEST] = max(state[HIGHEST], state[heights + q])
+        if mark_at(state, size, q) == UNMARKED:
+            activate(state, size, q)
+    state[HEAPED] += found * area * share
+    state[WAITING] = volume - found * area * share
+
+
+REST = 5e-3
+"""Slope that may remain above that of repose: 0.2 degrees. Chosen."""
+
+
+# Below, a and b are the slopes of a triangle along the first and the second axis of the plane, `up`
+# is the upward direction along the plane's axes, `tangent` that of the angle of repose.
+
+
+@partial(compiled, inline=True)
+def slope_to(height, other, sign, level):
+    """Return the slope along an axis between heights of neighbors [cells].
+
+    The other one is NaN where nothing flows: then it is that of level sand. The sign is 1 if it is
+    ahead along the axis, -1 if behind.
+    """
+    return sign * (other - height) if other == other else level
+
+
+@partial(compiled, inline=True)
+def excess_of(a, b, up, tangent):
+    """Return by how much a triangle is steeper than repose; convex in its slopes."""
+    rise = up.z - a * up.x - b * up.y  # of the normal (-a, -b, 1) along gravity
+    return math.sqrt(max(1.0 + a * a + b * b - rise * rise, 0.0)) - tangent * rise
+
+
+@partial(compiled, inline=True)
+def gains_of(a, b, up, tangent, ahead, beside, rate):
+    """Return the heights that the node of a steep triangle loses to its two neighbors [cells].
+
+    `ahead` is 1 if the first neighbor is ahead, -1 if behind, 0 if nothing flows there, `beside`
+    the same of the second. The rate is a fraction of the step that would end the excess; below 2.
+    """
+    excess = excess_of(a, b, up, tangent)
+    rise = up.z - a * up.x - b * up.y
+    across = excess + tangent * rise
+    first = ahead * ((a + rise * up.x) / across + tangent * up.x)
+    second = beside * ((b + rise * up.y) / across + tangent * up.y)
+    both = first + second
+    scale = -rate * excess / (first * first + second * second + both * both)
+    return scale * first, scale * second
+
+
+@cache
+def flow_kernel(level: Any, is_flat: bool) -> Any:
+    """Make a kernel `flow(state, relief, rate)`: sand flows down where it is too steep.
+
+    Nothing flows from or to a node under a body. The kernel `level` is of `level_kernel`.
+    """
+    room = scratch(18)
+
+    @partial(compiled, inline=True)
+    def flow_in_square(around, gained, first, up, tangent, rate):
+        """Level the steepest triangle of a square, whose first node is `first`.
+
+        `around` has the heights of nine nodes [cells], row by row, `gained` what they have gained.
+        """
+        steepest, corner = REST, -1
+        flat_a, flat_b = -up.x / up.z, -up.y / up.z
+        for k in range(4):
+            # Rows are three apart.
+            di, dj = k >> 1, k & 1
+            height = around[first + 3 * di + dj]
+            a = slope_to(height, around[first + 3 * (1 - di) + dj], 1.0 - 2.0 * di, flat_a)
+            b = slope_to(height, around[first + 3 * di + 1 - dj], 1.0 - 2.0 * dj, flat_b)
+            excess = excess_of(a, b, up, tangent)
+            if excess > steepest and height == height:
+                steepest, corner = excess, k
+        if corner < 0:
+            return
+        di, dj = corner >> 1, corner & 1
+        node, ahead, beside = 3 * di + dj, 3 * (1 - di) + dj, 3 * di + 1 - dj
+        node, ahead, beside = first + node, first + ahead, first + beside
+        s, t = 1.0 - 2.0 * di, 1.0 - 2.0 * dj
+        a = slope_to(around[node], around[ahead], s, flat_a)
+        b = slope_to(around[node], around[beside], t, flat_b)
+        s = s if around[ahead] == around[ahead] else 0.0
+        t = t if around[beside] == around[beside] else 0.0
+        g, h = gains_of(a, b, up, tangent, s, t, rate)
+        around[node] -= g + h
+        gained[node] -= g + h
+        around[ahead] += g
+        gained[ahead] += g
+        around[beside] += h
+        gained[beside] += h
+
+    @compiled
+    def flow(state, relief, rate):
+        cell, size, blocks, tangent = relief.cell, relief.size, relief.blocks, relief.repose
+        has_edge, heights, per_cell = has_edges(relief), start_of(size, HEIGHT), 1.0 / relief.cell
+        # Start of the list of active places, which runs backward.
+        end = start_of(size, LISTS) + size * size - 1
+        area, up = cell * cell, vector(relief.along[2], relief.across[2], relief.normal[2])
+        numbers = room()
+        around, gained = numbers[:9], numbers[9:]
+        count, kept, highest = count_at(state, size, ACTIVE), 0, 0.0
+        for n in range(count):
+            k = listed_at(state, size, size * size - 1 - n)
+            if mark_at(state, size, k) != FLOWS:
+                continue
+            row, middle = row_at(size, k), base_at(state, size, k)
+            column = k - row * size
+            i, j = node_of(middle)
+            flowing = 0
+            for di in range(-1, 2):
+                begin = wrapped(row + di, size) * size
+                for dj in range(-1, 2):
+                    q, place = 3 * di + dj + 4, begin + wrapped(column + dj, size)
+                    mark = own_mark(state, size, place, base_beside(middle, di, dj))
+                    height = per_cell * state[heights + place] if mark >= 0.0 else 0.0
+                    if not is_flat:
+                        height += per_cell * level(relief, (i + di) * cell, (j + dj) * cell)
+                    if mark == UNDER or (
+                        has_edge and not is_sand(relief, (i + di) * cell, (j + dj) * cell)
+                    ):
+                        height = math.nan
+                    around[q], gained[q] = height, 0.0
+                    flowing |= (1 << q) if mark == FLOWS else 0
+            # The first active node of a square handles it.
+            if flowing & 0b000001011 == 0:
+                flow_in_square(around, gained, 0, up, tangent, rate)
+            if flowing & 0b000000110 == 0:
+                flow_in_square(around, gained, 1, up, tangent, rate)
+            if flowing & 0b000001000 == 0:
+                flow_in_square(around, gained, 3, up, tangent, rate)
+            flow_in_square(around, gained, 4, up, tangent, rate)
+            for q in range(9):
+                if gained[q] == 0.0:
+                    continue
+                di, dj = q // 3 - 1, q % 3 - 1
+                place = wrapped(row + di, size) * size + wrapped(column + dj, size)
+                base = base_beside(middle, di, dj)
+                mark = own_mark(state, size, place, base)
+                if mark < 0.0:
+                    claim(state, size, blocks, area, place, base)
+                add_height(state, size, blocks, place, cell * gained[q])
+                highest = max(highest, state[heights + place])
+                if q != 4 and mark <= 0.0:
+                    activate(state, size, place)
+            height = state[heights + k]
+            if gained[4] != 0.0:
+                state[end - kept] = k
+                kept += 1
+            else:
+                set_mark(state, size, k, UNMARKED)
+                state[SETTLED] = max(state[SETTLED], height)
+                state[SEEN] = max(state[SEEN], height)
+            highest = max(highest, height)
+        # Nodes activated meanwhile follow in the list.
+        for n in range(count, count_at(state, size, ACTIVE)):
+            state[end - kept] = state[end - n]
+            kept += 1
+        state[ACTIVE] = 1.0 * kept
+        state[HIGHEST] = max(state[SETTLED], highest)
+
+    return flow
+
+
+@compiled
+def look_through(state, size):
+    """Search one row per step for the highest node, since the last one found may be lower now."""
+    row = min(max(int(state[ROW]), 0), size - 1)
+    first, highest = start_of(size, HEIGHT) + row * size, 0.0
+    for n in range(first, first + size):
+        highest = max(highest, state[n])
+    state[SEEN] = max(state[SEEN], highest)
+    state[ROW] = row + 1.0
+    if row + 1 == size:
+        state[SETTLED] = state[SEEN]
+        state[SEEN] = state[ROW] = 0.0
+
 
 _feet = records(FOOT_DTYPE)
 
@@ -57,7 +457,7 @@ the same within 1 %."""
 
 STILL = 1e-3
 """How far a surface point may move until bodies press again [cells], while nothing flows. Chosen: a
-tenth of the height that is not pressed down at once (`press.LEAST`)."""
+tenth of the height that is not pressed down at once (`LEAST`)."""
 
 FASTEST = 1.5
 """Greatest rate of flow. Chosen below 2, where sand would not come to rest."""

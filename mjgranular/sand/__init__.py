@@ -3,6 +3,5 @@
 from mjgranular.sand.report import BodyReport as BodyReport
 from mjgranular.sand.report import ElementReport as ElementReport
 from mjgranular.sand.report import Report as Report
-from mjgranular.sand.report import Solver as Solver
 from mjgranular.sand.sand import Sand as Sand
 from mjgranular.sand.spec import SandSpec as SandSpec

@@ -4,8 +4,6 @@ A check yields sentences about a model and its sand. The tables at the end give 
 Limits without a source are chosen.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -35,17 +33,10 @@ from mjgranular.sand.cost import MANY, Cost, coarser
 from mjgranular.sand.material import DEFAULT_MEDIUM, law_named_in
 from mjgranular.sand.spec import SandSpec
 from mjgranular.scheme import Scheme
-from mjgranular.shape.budget import FACETS
 from mjgranular.shape.select import body_name, collides, is_choice, mocap_above, moves
-from mjgranular.shape.sizes import LARGEST, geom_name, geom_width, half_extents
+from mjgranular.shape.sizes import FACETS, LARGEST, geom_name, geom_width, half_extents
 from mjgranular.surface import Bed, HeightField, Plane, Surface
-from mjgranular.surface.floors import (
-    CARRIES,
-    WOULD_CARRY,
-    FloorWatch,
-    describe_floors,
-    find_floors,
-)
+from mjgranular.surface.floors import CARRIES, WOULD_CARRY, FloorWatch, describe_floors, find_floors
 
 
 @dataclass(frozen=True)

@@ -1,21 +1,24 @@
-"""Binding of a sand to one `MjData`: addresses, wrenches, the last good state."""
+"""Binding of a sand to one `MjData`: addresses, wrenches, the last good state.
 
-from __future__ import annotations
+A registry has the sands of each simulation: one per body, unless all of them are shared.
+"""
 
+import weakref
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 
 from mjgranular.errors import InputError
-from mjgranular.kernel.memory import simulation_table
+from mjgranular.kernel.compiled import entry
 from mjgranular.kernel.options import options_address
 from mjgranular.kernel.records import BODY_DTYPE, CONTACT_DTYPE
-from mjgranular.kernel.snapshot import Snapshot
+from mjgranular.sand.guard import Snapshot, withdraw
 from mjgranular.sand.prepare import PreparedSand
 from mjgranular.scheme.scheme import Workspace
 from mjgranular.scheme.status import EVERY_INTEGRATOR, bits_of, nanoseconds
-from mjgranular.shape.select import last_dof
+from mjgranular.shape.select import body_name, last_dof
 
 
 @dataclass(frozen=True)
@@ -61,7 +64,7 @@ def bind(
         row["last_dof"] = last_dof(model, int(body))
     bodies["last_wrench"] = np.nan  # NaN equals nothing: the first rows found are the user's
     contacts = np.zeros(len(elements), CONTACT_DTYPE)
-    snapshot = Snapshot.of(model, data)
+    snapshot = Snapshot(model, data)
     # As passive forces, they are computed at any stage of the integrator.
     anywhere = within and not scheme.whole_state
     workspace = scheme.workspace(model, data, elements, sand.kernel, within=within)
@@ -71,22 +74,123 @@ def bind(
     if sand.footprint is not None:
         scene = scene.copy()
         scene["surface"]["state"] = state.ctypes.data
-    table = simulation_table(
-        model,
-        data,
-        packed=sand.packed,
-        count=len(elements),
-        bodies=bodies,
-        scene=scene,
-        contacts=contacts,
-        spans=snapshot.spans,
-        workspace=workspace.record,
-        options=options_address(model),
-        integrators=EVERY_INTEGRATOR if anywhere else bits_of(scheme.integrators),
-        longest_step=nanoseconds(scheme.step_limit),
-        state=state,
-        update=sand.update,
-        sampling=sand.sampling,
-        forces=sand.forces,
+    integrators = EVERY_INTEGRATOR if anywhere else bits_of(scheme.integrators)
+    numbers = (model.nbody, model.nv, len(elements), len(bodies), integrators)
+    arrays = (
+        model.dof_parentid,
+        data.xpos,
+        data.xmat,
+        data.xipos,
+        data.subtree_com,
+        data.cvel,
+        data.cdof,
+        data.qacc_warmstart,
+        data.xfrc_applied,
+        data.warning.number,
+        sand.packed,
+        bodies,
+        scene,
+        contacts,
+        snapshot.record,
+        workspace.record,
+    )
+    memory = (state.ctypes.data if state.size else 0, state.size, sand.update)
+    surface = scene["surface"].ctypes.data - scene.ctypes.data
+    table = np.array(  # in the order of `kernel.memory`
+        [
+            *(*numbers, nanoseconds(scheme.step_limit), options_address(model)),
+            *(array.ctypes.data for array in arrays),
+            *(*memory, sand.sampling, sand.forces, surface),
+        ],
+        np.int64,
     )
     return Binding(table, table.ctypes.data, bodies, contacts, snapshot, workspace, scene, state)
+
+
+_sands_of_model: list[Callable[[mujoco.MjModel], Iterable[tuple[str, set[int]]]]] = []
+
+ask_about_models = _sands_of_model.append
+"""Register a function that returns the sands that are a part of a model: the name of each, and the
+ids of the bodies that it acts on."""
+
+
+def find_sand_of_the_model(model: mujoco.MjModel, elements: np.ndarray) -> str:
+    """Return which of the model's own sands acts on one of these bodies, in words; "" for none."""
+    ours = set(elements["body"].tolist())
+    for sands_of_model in _sands_of_model:
+        for name, bodies in sands_of_model(model):
+            common = ours & bodies
+            if common:
+                return (
+                    f"the plugin instance {name!r}, which acts on body "
+                    f"{body_name(model, min(common))}"
+                )
+    return ""
+
+
+class SandRegistry:
+    """The Sands that act on one `MjData`, and their shares in its `xfrc_applied`."""
+
+    def __init__(self) -> None:
+        # The bodies of each Sand, and whether it is shared.
+        self._members: weakref.WeakKeyDictionary[object, tuple[set[int], bool]]
+        self._members = weakref.WeakKeyDictionary()
+        self._shares: list[Binding] = []  # of shared Sands, in the order they were added
+
+    def add(self, sand: object, model: mujoco.MjModel, binding: Binding, *, shared: bool) -> None:
+        """Register a Sand; raise if another acts on one of its bodies, and not both are shared."""
+        bodies = set(binding.bodies["body"].tolist())
+        for others, is_shared in list(self._members.values()):
+            common = bodies & others
+            if common and not (shared and is_shared):
+                raise InputError(
+                    f"another Sand acts on body {body_name(model, min(common))} of this MjData: "
+                    "make an MjData for each, make both with shared=True if both are to act (two "
+                    "beds, say), or have the other one release(data) first"
+                )
+        self._members[sand] = bodies, shared
+
+    def remove(self, sand: object, binding: Binding) -> None:
+        """Remove a Sand, and its share too."""
+        _, is_shared = self._members.pop(sand)
+        if is_shared:
+            self._withdraw_all()
+        else:
+            _withdraw(binding)
+
+    def begin(self, binding: Binding) -> None:
+        """Prepare for the share of a shared Sand.
+
+        The first that comes for a second time begins a new step: the shares of the last step are
+        removed.
+        """
+        if any(share is binding for share in self._shares):
+            self._withdraw_all()
+        self._shares.append(binding)
+
+    def down_to(self, binding: Binding) -> list[Binding]:
+        """Return the shares that have come since a Sand's own, the latest first, and its own.
+
+        A Sand acts in addition to those that came before it.
+        """
+        for number, share in enumerate(self._shares):
+            if share is binding:
+                return self._shares[number:][::-1]
+        return [binding]
+
+    def _withdraw_all(self) -> None:
+        """Take all shares back, the latest first: each finds the row as it left it."""
+        while self._shares:
+            _withdraw(self._shares.pop())
+
+
+def _withdraw(binding: Binding) -> None:
+    entry(withdraw, "int64(int64)")(binding.table.ctypes.data)
+
+
+_registries: weakref.WeakKeyDictionary[mujoco.MjData, SandRegistry] = weakref.WeakKeyDictionary()
+
+
+def registry_of(data: mujoco.MjData) -> SandRegistry:
+    """Return the registry of the Sands that act on `data`; empty at first."""
+    return _registries.setdefault(data, SandRegistry())

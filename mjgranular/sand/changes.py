@@ -1,7 +1,5 @@
 """Checks for changes of a model after its sand was made, and for steps without the sand."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Sequence
 

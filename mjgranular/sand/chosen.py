@@ -1,7 +1,5 @@
 """Resolve what a `SandSpec` names in a model: the half of `prepare` that needs no scheme."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -30,23 +28,14 @@ _PLACES = frozenset(("center", "point", "geom", "body", "slot"))
 
 @dataclass(frozen=True, kw_only=True)
 class ChosenSand:
-    """The material, the surface and the elements of a sand.
-
-    Attributes:
-        medium: the medium.
-        law: the law, with its constants.
-        surface: the surface, here without memory.
-        geoms: ids of the geoms that meet the sand.
-        elements: elements of the law: a structured array, sorted by body.
-        replaced: ids of the geoms that the sand replaces.
-    """
+    """The material, the surface and the elements of a sand."""
 
     medium: Medium
-    law: Law
-    surface: Surface
-    geoms: tuple[int, ...]
-    elements: np.ndarray
-    replaced: tuple[int, ...]
+    law: Law  # with its constants
+    surface: Surface  # here without memory
+    geoms: tuple[int, ...]  # ids of those that meet the sand
+    elements: np.ndarray  # of the law, structured, sorted by body
+    replaced: tuple[int, ...]  # ids of the geoms that the sand replaces
 
 
 def choose_sand(model: mujoco.MjModel, spec: SandSpec) -> ChosenSand:
@@ -106,15 +95,8 @@ def kernel_under(
     `forces_alone` omits derivatives (`Law.kernel_of_forces`).
     """
     law = chosen.law
-    kernel = _kernel_of(law, surface, forces_alone)
-    if isinstance(surface, Relief) and footprint is not None:
-        _check_places(model, chosen, kernel.element._fields, footprint, surface.memory.cell)
-    return kernel
-
-
-def _kernel_of(law: Law, surface: Surface, forces_alone: bool) -> LawKernel:
     try:
-        return law.kernel_of_forces(surface) if forces_alone else law.kernel(surface)
+        kernel = law.kernel_of_forces(surface) if forces_alone else law.kernel(surface)
     except AttributeError as error:
         if not isinstance(surface, Relief):
             raise
@@ -122,6 +104,9 @@ def _kernel_of(law: Law, surface: Surface, forces_alone: bool) -> LawKernel:
             f"the law {law.name!r} cannot be used with memory ({error}): its `kernel` has to ask "
             "for surface.probe_kernel() in place of type(surface).probe"
         ) from error
+    if isinstance(surface, Relief) and footprint is not None:
+        _check_places(model, chosen, kernel.element._fields, footprint, surface.memory.cell)
+    return kernel
 
 
 def _check_places(

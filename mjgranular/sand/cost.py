@@ -1,14 +1,13 @@
 """Rough cost of the sand per step, by the number of elements."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
 from mjgranular.scheme import Explicit, Scheme
-from mjgranular.shape.budget import RESOLUTION
+from mjgranular.shape.sizes import RESOLUTION
 
 MANY = 20_000
 """Number of elements above which a warning is given. Chosen: with all of them in the sand a step
@@ -22,16 +21,13 @@ _IMPLICIT = 0.2e-6
 
 @dataclass(frozen=True)
 class Cost:
-    """What the sand adds to a step [s], within a factor of two on today's machines.
+    """What the sand adds to a step [s], within a factor of two on today's machines."""
 
-    `above` is the cost with all elements above the sand, `within` with all of them in it.
-    """
-
-    above: float
-    within: float
+    above: float  # with all elements above the sand
+    within: float  # with all of them in it
 
     @classmethod
-    def of(cls, count: int, scheme: Scheme) -> Cost:
+    def of(cls, count: int, scheme: Scheme) -> Self:
         """Return the cost of `count` elements."""
         each = _EXPLICIT if isinstance(scheme, Explicit) else _IMPLICIT
         return cls(count * _ABOVE, count * each)

@@ -1,20 +1,66 @@
-"""Guard around a scheme's program: a snapshot of the state, and the check that needs it."""
+"""Guard around a scheme's program: a snapshot of the state, and the check that needs it.
 
-from __future__ import annotations
+If MuJoCo finds NaN, infinite or huge numbers it resets the simulation, and the state that led to
+them is lost. So compiled code stores it once per step, by `mj_getState`; `mj_setState` restores it.
+"""
+
+import math
+
+import mujoco
+import numpy as np
 
 from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.engine import get_state
 from mjgranular.kernel.intrinsics import call_step
-from mjgranular.kernel.memory import STATE, STATE_SIZE, UPDATE, floats, table_at
-from mjgranular.kernel.snapshot import kept_time, save_snapshot
+from mjgranular.kernel.memory import SNAPSHOT, STATE, STATE_SIZE, UPDATE, floats, records, table_at
 from mjgranular.relief.grid import TIME
 from mjgranular.scheme.status import BAD_STATE, FINE
 from mjgranular.scheme.wrenches import is_bad, take_back_wrenches, withdraw_wrenches
+
+_RECORD_DTYPE = np.dtype([("model", np.int64), ("data", np.int64), ("state", np.int64)])
+_STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
+
+_records = records(_RECORD_DTYPE)
+
+
+@compiled
+def save_snapshot(table):
+    """Copy the state of a simulation to its snapshot."""
+    record = _records(table[SNAPSHOT], 1)[0]
+    get_state(record.model, record.data, record.state, _STATE)
+
+
+class Snapshot:
+    """The snapshot of one simulation.
+
+    Attributes:
+        record: addresses of the model, the data and the stored state.
+        state: as of `mj_getState`; the time, its first number, is NaN until a state is stored.
+    """
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        self.state = np.full(mujoco.mj_stateSize(model, _STATE), math.nan)
+        addresses = (model._address, data._address, self.state.ctypes.data)
+        self.record = np.array([addresses], _RECORD_DTYPE)
+
+    @property
+    def time(self) -> float | None:
+        """Return the time of the stored state [s]; None if none is stored."""
+        time = float(self.state[0])
+        return None if math.isnan(time) else time
+
+    def restore(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        """Restore the state to `data`, including positions and velocities of bodies."""
+        mujoco.mj_setState(model, data, self.state, _STATE)
+        mujoco.mj_fwdPosition(model, data)
+        mujoco.mj_fwdVelocity(model, data)
 
 
 @compiled
 def forget_after_reset(table):
     """Clear a surface's memory if time has gone back: the simulation starts over."""
-    state, time = floats(table[STATE], table[STATE_SIZE]), kept_time(table)
+    state = floats(table[STATE], table[STATE_SIZE])
+    time = floats(_records(table[SNAPSHOT], 1)[0].state, 1)[0]  # the first number of what is stored
     if time < state[TIME]:
         for k in range(len(state)):
             state[k] = 0.0

@@ -1,7 +1,5 @@
 """Medium and law of a sand: as given, or derived from each other and from the model."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Sequence
 from dataclasses import MISSING, fields

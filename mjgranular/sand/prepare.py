@@ -1,7 +1,5 @@
 """Build what a simulation needs from a model and a `SandSpec`, with all checks."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -16,13 +14,7 @@ from mjgranular.relief.footprint import Footprint, fitting
 from mjgranular.relief.memory import as_memory
 from mjgranular.relief.update import update_program
 from mjgranular.sand import advice
-from mjgranular.sand.chosen import (
-    ChosenSand,
-    choose_sand,
-    geoms_in_sand,
-    kernel_under,
-    remembering,
-)
+from mjgranular.sand.chosen import ChosenSand, choose_sand, geoms_in_sand, kernel_under, remembering
 from mjgranular.sand.spec import SandSpec, combined
 from mjgranular.scheme import Auto, Explicit, Scheme, get_scheme
 from mjgranular.scheme.auto import FINE_STEP
@@ -31,31 +23,18 @@ from mjgranular.scheme.scheme import FORCES, STEP, SchemeChoice
 
 @dataclass(frozen=True, kw_only=True)
 class PreparedSand(ChosenSand):
-    """A sand that fits a model, with its memory.
+    """A sand that fits a model, with its memory."""
 
-    Attributes:
-        scheme: the one that acts, also where "auto" was given.
-        packed: the elements as the program reads them.
-        scene: parameters of law and surface, shape (1,).
-        kernel: kernel of the law under this surface.
-        program: address of the scheme's compiled program (`Scheme.program`).
-        sampling: address of `Scheme.sampling`; 0 if that is part of the scheme's program.
-        forces: address of `Scheme.forces`; 0 likewise.
-        footprint: the skin by which bodies press sand down; None without memory.
-        update: address of the program that updates the memory; 0 without memory.
-        disabled: ids of the geoms whose contacts are off: the sand itself, and what it replaces.
-    """
-
-    scheme: Scheme
-    packed: np.ndarray
-    scene: np.ndarray
-    kernel: LawKernel
-    program: int
-    sampling: int
-    forces: int
-    footprint: Footprint | None
-    update: int
-    disabled: tuple[int, ...]
+    scheme: Scheme  # the one that acts, also where "auto" was given
+    packed: np.ndarray  # the elements as the program reads them
+    scene: np.ndarray  # parameters of law and surface, shape (1,)
+    kernel: LawKernel  # of the law under this surface
+    program: int  # address of the scheme's compiled program (`Scheme.program`)
+    sampling: int  # address of `Scheme.sampling`; 0 if that is part of the scheme's program
+    forces: int  # address of `Scheme.forces`; 0 if those are
+    footprint: Footprint | None  # the skin by which bodies press sand down; None without memory
+    update: int  # address of the program that updates the memory; 0 without memory
+    disabled: tuple[int, ...]  # ids of geoms whose contacts are off: the sand, what it replaces
 
 
 def prepare(model: mujoco.MjModel, spec: SandSpec, *, within: bool = False) -> PreparedSand:

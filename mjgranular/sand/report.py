@@ -1,11 +1,9 @@
 """Reports of the sand's action on a model at one instant, for people, logs and plots."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import asdict, dataclass, fields
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import mujoco
 import numpy as np
@@ -139,9 +137,26 @@ class Solver:
     worst: float
 
     @classmethod
-    def of(cls, statistics: np.void) -> Solver:
+    def of(cls, statistics: np.void) -> Self:
         """Return the counters from the record that the scheme keeps (`scheme.workspace`)."""
         return cls(*(statistics[field.name].item() for field in fields(cls)))
+
+
+@dataclass(frozen=True)
+class Names:
+    """Names of a model's geoms and bodies by their ids; numbers for those without one."""
+
+    geoms: dict[int, str]
+    bodies: dict[int, str]
+
+    @classmethod
+    def of(cls, model: mujoco.MjModel, elements: np.ndarray) -> Self:
+        """Return the names of the geoms and bodies of some elements."""
+        geoms, bodies = np.unique(elements["geom"]), np.unique(elements["body"])
+        return cls(
+            {int(g): name_of(model, "geom", int(g)) or str(g) for g in geoms},
+            {int(b): name_of(model, "body", int(b)) or str(b) for b in bodies},
+        )
 
 
 @dataclass(frozen=True)
@@ -223,23 +238,6 @@ class Report:
             "bodies": [_plain(body) for body in self.bodies],
             "elements": [_plain(element) for element in self.elements],
         }
-
-
-@dataclass(frozen=True)
-class Names:
-    """Names of a model's geoms and bodies by their ids; numbers for those without one."""
-
-    geoms: dict[int, str]
-    bodies: dict[int, str]
-
-    @classmethod
-    def of(cls, model: mujoco.MjModel, elements: np.ndarray) -> Names:
-        """Return the names of the geoms and bodies of some elements."""
-        geoms, bodies = np.unique(elements["geom"]), np.unique(elements["body"])
-        return cls(
-            {int(g): name_of(model, "geom", int(g)) or str(g) for g in geoms},
-            {int(b): name_of(model, "body", int(b)) or str(b) for b in bodies},
-        )
 
 
 @np.errstate(over="ignore", invalid="ignore")  # overflow is reported as infinite
@@ -339,12 +337,7 @@ def _rms(vectors: np.ndarray) -> float:
 
 
 def _measures(
-    table: ElementTable,
-    immersed: np.ndarray,
-    *,
-    gravity: float,
-    slope: float,
-    grain: float | None,
+    table: ElementTable, immersed: np.ndarray, *, gravity: float, slope: float, grain: float | None
 ) -> dict[Measure, float | None]:
     """Return the measures of validity of one body: the largest over its elements in the sand."""
     measures: dict[Measure, float | None] = {

@@ -1,13 +1,11 @@
 """`Sand`: a bed of sand bound to a model, the main class of the package."""
 
-from __future__ import annotations
-
 import copy
 import math
 import weakref
 from collections.abc import Callable
 from functools import partial
-from typing import Any, Unpack
+from typing import Any, Self, Unpack
 
 import mujoco
 import numpy as np
@@ -20,17 +18,15 @@ from mjgranular.kernel.options import NO_GRAVITY
 from mjgranular.law import Law
 from mjgranular.medium import Medium
 from mjgranular.relief.grid import TIME
-from mjgranular.relief.heights import Heights, checked_state, heights_of
-from mjgranular.relief.memory import Memory
+from mjgranular.relief.memory import Heights, Memory, checked_state, heights_of
 from mjgranular.relief.relief import Relief, place_in_plane
 from mjgranular.sand import advice
-from mjgranular.sand.binding import Binding, bind
+from mjgranular.sand.binding import Binding, bind, find_sand_of_the_model, registry_of
 from mjgranular.sand.changes import Original
 from mjgranular.sand.chosen import geoms_in_sand
 from mjgranular.sand.guard import finish_step, guarded_step
 from mjgranular.sand.prepare import prepare
 from mjgranular.sand.report import Names, Report, Solver, describe
-from mjgranular.sand.sharing import find_sand_of_the_model, registry_of
 from mjgranular.sand.spec import SandFields, SandSpec, combined
 from mjgranular.scheme import Scheme
 from mjgranular.scheme.status import FINE, REFUSED
@@ -444,12 +440,7 @@ class Sand:
         return binding.address
 
     def _failure(
-        self,
-        data: mujoco.MjData,
-        failed: int,
-        binding: Binding | None = None,
-        *,
-        own: bool = True,
+        self, data: mujoco.MjData, failed: int, binding: Binding | None = None, *, own: bool = True
     ) -> UnstableError | InputError:
         """Make the error for a program that failed; if the state is bad, restore the last good one.
 
@@ -507,7 +498,7 @@ class Sand:
             return what, int(model.jnt_bodyid[joint])
         return what, int(model.dof_bodyid[index])
 
-    def __deepcopy__(self, memo: dict[int, Any]) -> Sand:
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
         """Return a new sand for a deep copy of the model, shared by all that is copied with it."""
         make, (model, spec) = self.__reduce__()
         return make(copy.deepcopy(model, memo), spec)

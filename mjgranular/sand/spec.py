@@ -1,7 +1,5 @@
 """One description of a sand, for every interface that puts sand under a model."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Work of the sand on each body in a run, and the greatest force and depth: of every step."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 

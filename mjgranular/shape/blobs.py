@@ -1,7 +1,5 @@
 """Whole bodies: center and support function of each geom, for laws with one force per body."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """Surfaces of bodies: the facets of their geoms, for laws that act on surface elements."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Literal
 
@@ -9,8 +7,7 @@ import mujoco
 import numpy as np
 
 from mjgranular.shape import patches, tessellation
-from mjgranular.shape.budget import resolutions
-from mjgranular.shape.meshes import mesh_corners
+from mjgranular.shape.patches import mesh_corners
 from mjgranular.shape.rigid import exposures, in_own_frames, join_faces
 from mjgranular.shape.sizes import (
     check_count,
@@ -19,6 +16,7 @@ from mjgranular.shape.sizes import (
     geom_axes,
     geom_width,
     half_extents,
+    resolutions,
     type_error,
 )
 from mjgranular.shape.tessellation import Cells
@@ -74,7 +72,7 @@ def facets_from_model(
         geoms: geom ids.
         resolution: rings from pole to pole of a round geom, patches around half of a cylinder, and
             three times the number along a box's longest edge; a mesh has at most twice its square.
-            None for 12, and less for small geoms if there are many (`shape.budget`).
+            None for 12, and less for small geoms if there are many (`resolutions`).
         hidden: whether to drop surfaces that no grain can touch, since they are inside another of
             the geoms (`hidden_skin`), or to keep all.
         sheltered: whether to drop the share of a facet's area that other parts of the same rigid

@@ -4,8 +4,6 @@ Both depend on all geoms that are welded together, not on one of them, so a rigi
 divided into more geoms stays the same body.
 """
 
-from __future__ import annotations
-
 import copy
 import math
 from collections.abc import Iterator
@@ -38,6 +36,9 @@ _WALLS, _CHORDS, _CHORD = 4, 4, math.radians(22.5)
 
 _SHOWN, _ALONE = (np.array(groups, np.uint8) for groups in ([1, 1, 0, 0, 0, 0], [1, 0, 0, 0, 0, 0]))
 _MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
+
+Arc = tuple[float, np.ndarray]
+"""Start of arcs around a hinge: radius [m], and axes out, around and along, as rows."""
 
 
 def in_own_frames(model: mujoco.MjModel) -> mujoco.MjData:
@@ -82,10 +83,7 @@ def join_faces(model: mujoco.MjModel, data: mujoco.MjData, facets: np.ndarray) -
     all of them together. Sand in a narrow gap moves with the body and is part of the face, so the
     facets on both sides get half of the gap each, and less of wider ones.
 
-    Args:
-        model: the model.
-        data: of `in_own_frames`.
-        facets: dtype `FACET_DTYPE`; `width` is that of the geom. Sets `face` and `area`.
+    `data` is of `in_own_frames`. Of the facets `width` is that of the geom; sets `face` and `area`.
     """
     points, normals, edges = _placed(data, facets)
     facets["face"] = facets["width"]
@@ -139,12 +137,7 @@ def exposures(model: mujoco.MjModel, data: mujoco.MjData, facets: np.ndarray) ->
         (1 - f_1) (1 - (1 - f_1) f_2) (1 - (1 - f_1) f_3) ...
 
     Where the body turns on a hinge, rays run in arcs around it, as the sand does past the body.
-    Across a joint nothing is sheltered.
-
-    Args:
-        model: the model.
-        data: of `in_own_frames`.
-        facets: dtype `FACET_DTYPE`.
+    Across a joint nothing is sheltered. `data` is of `in_own_frames`.
     """
     exposed = np.ones(len(facets))
     points, normals, edges = _placed(data, facets)
@@ -234,19 +227,13 @@ class _Sight:
         return far >= 0 and not enters
 
     def walls(
-        self, at: np.ndarray, ray: np.ndarray, arc: _Arc | None, own: int, width: float
+        self, at: np.ndarray, ray: np.ndarray, arc: Arc | None, own: int, width: float
     ) -> np.ndarray:
         """Return the walls that a ray hits, one after the other, shape (_WALLS,).
 
         A wall counts in full, 1, if as much sand is before it as before the first, and else in that
-        proportion: walls that touch are one.
-
-        Args:
-            at: start of the ray [m].
-            ray: its direction.
-            arc: arc that it follows, or None for a straight ray.
-            own: geom of the facet that it starts from.
-            width: width of that geom [m].
+        proportion: walls that touch are one. The ray starts at `at` from a facet of the geom `own`,
+        which has that width [m]; it is straight without an arc.
         """
         met, count = np.zeros(_WALLS), 0
         passed, end, nearest = 0.0, 0.0, 0.0  # distance before the chord, end of the last wall [m]
@@ -284,25 +271,18 @@ class _Sight:
         return met
 
 
-class _Arc(NamedTuple):
-    """Start of arcs around a hinge: radius [m], and axes out, around and along, as rows."""
-
-    radius: float
-    axes: np.ndarray
-
-
 class _Hinge(NamedTuple):
     """A hinge in the frame of its rigid body."""
 
     anchor: np.ndarray
     axis: np.ndarray
 
-    def frame(self, at: np.ndarray) -> _Arc:
+    def frame(self, at: np.ndarray) -> Arc:
         """Return the start of arcs from a point."""
         out = at - self.anchor
         out = out - (out @ self.axis) * self.axis
         axes = _axes_across(self.axis, out)
-        return _Arc(math.sqrt(out @ out), np.stack([*axes, self.axis]))
+        return math.sqrt(out @ out), np.stack([*axes, self.axis])
 
 
 def _hinge(model: mujoco.MjModel, weld: int) -> _Hinge | None:
@@ -314,7 +294,7 @@ def _hinge(model: mujoco.MjModel, weld: int) -> _Hinge | None:
 
 
 def _chords(
-    at: np.ndarray, ray: np.ndarray, arc: _Arc | None, size: float
+    at: np.ndarray, ray: np.ndarray, arc: Arc | None, size: float
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Yield the chords of a ray, starts and vectors [m]: one, or those of an arc around a hinge."""
     length = 2.0 * size
@@ -354,13 +334,10 @@ def _unrolled(
 
 
 def _anything_ahead(row: int, at: np.ndarray, axes: np.ndarray, bulge: np.ndarray) -> bool:
-    """Return whether rays from a facet can hit others of the same rigid body.
+    """Return whether rays from a facet, a row, can hit others of the same rigid body.
 
-    Args:
-        row: the facet.
-        at: centers of all, shape (n, 3).
-        axes: half edges and normals of all, shape (n, 3, 3).
-        bulge: how far surfaces may stand out from their planes, shape (n,).
+    Of all, `at` are the centers, `axes` half edges and normals, and `bulge` is how far the surfaces
+    may stand out from their planes.
     """
     n = axes[row, 2]
     away = at - at[row]
@@ -411,11 +388,8 @@ def _connected(low: np.ndarray, high: np.ndarray, gap: float) -> list[np.ndarray
 def _bridged(at: np.ndarray, reach: np.ndarray, geoms: np.ndarray, width: float) -> np.ndarray:
     """Return factors on areas with which coplanar facets of geoms meet halfway, shape (n,).
 
-    Args:
-        at: their centers in the plane [m], shape (n, 2).
-        reach: half their extents [m], shape (n, 2).
-        geoms: their geoms, shape (n,); between facets of one geom there is no gap.
-        width: width of the geoms [m], to which gaps are compared.
+    `at` are their centers in the plane, `reach` half their extents [m]. Between facets of one geom
+    there is no gap; gaps are compared to the width of the geoms [m].
     """
     away = at[None] - at[:, None]
     apart = np.abs(away) - reach[None] - reach[:, None]
@@ -437,10 +411,7 @@ def _bridged(at: np.ndarray, reach: np.ndarray, geoms: np.ndarray, width: float)
 def _width_of(at: np.ndarray, half: np.ndarray, areas: np.ndarray) -> float:
     """Return the width of a flat face: see `join_faces`.
 
-    Args:
-        at: centers of its facets in the plane [m], shape (n, 2).
-        half: their half edges [m], shape (n, 2, 2).
-        areas: [m^2], shape (n,).
+    Of its facets `at` are the centers in the plane [m], `half` the half edges.
     """
     area = areas.sum()
     away = at - areas @ at / area

@@ -1,7 +1,5 @@
 """Slender bodies as rods: one element for each capsule or cylinder, from pole to pole."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import mujoco

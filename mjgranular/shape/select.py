@@ -1,7 +1,5 @@
 """Selection of the geoms of a model that meet the sand."""
 
-from __future__ import annotations
-
 import operator
 from collections.abc import Iterable, Sequence
 from typing import Any
@@ -58,8 +56,12 @@ def select_geoms(
         every = _is_every(model, "body", name)
         chosen.update(meets if every else _of_body(model, _find(model, "body", name)))
     for name in names_in(geoms):
-        every = _is_every(model, "geom", name)
-        chosen.update(meets if every else _that_moves(model, _find(model, "geom", name)))
+        if _is_every(model, "geom", name):
+            chosen.update(meets)
+        else:
+            geom = _find(model, "geom", name)
+            _refuse_fixed(model, int(model.geom_bodyid[geom]))
+            chosen.add(geom)
     chosen.difference_update(leave_out)
     if not chosen:
         raise InputError(
@@ -168,11 +170,6 @@ def _of_body(model: mujoco.MjModel, body: int) -> list[int]:
             "that could meet the sand: name its geoms with geoms=[...], or another body"
         )
     return found
-
-
-def _that_moves(model: mujoco.MjModel, geom: int) -> list[int]:
-    _refuse_fixed(model, int(model.geom_bodyid[geom]))
-    return [geom]
 
 
 def _refuse_fixed(model: mujoco.MjModel, body: int) -> None:

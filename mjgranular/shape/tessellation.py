@@ -8,11 +8,10 @@ Every division has the symmetries of its shape.
 The number of patches needed for a given error was measured (docs/shapes.md).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -33,20 +32,13 @@ class Facets:
     A point of a facet is `point + s edges[0] + t edges[1]`, with s and t from -1 to 1, and the
     normal there is along `normal + s spread[0] + t spread[1]`. The parallelogram has the centroid
     and the second moments of the facet; its area may differ.
-
-    Attributes:
-        points: centroids [m], shape (n, 3).
-        normals: unit, outward, shape (n, 3).
-        areas: [m^2], shape (n,).
-        edges: half edges [m], shape (n, 2, 3).
-        spread: half differences of the unit normal along them, shape (n, 2, 3).
     """
 
-    points: np.ndarray
-    normals: np.ndarray
-    areas: np.ndarray
-    edges: np.ndarray
-    spread: np.ndarray
+    points: np.ndarray  # centroids [m], shape (n, 3)
+    normals: np.ndarray  # unit, outward, shape (n, 3)
+    areas: np.ndarray  # [m^2], shape (n,)
+    edges: np.ndarray  # half edges [m], shape (n, 2, 3)
+    spread: np.ndarray  # half differences of the unit normal along them, shape (n, 2, 3)
 
     def __len__(self) -> int:
         return len(self.areas)
@@ -54,21 +46,14 @@ class Facets:
 
 @dataclass(frozen=True)
 class Cells:
-    """Small pieces of a surface, and the patches they are grouped into.
+    """Small pieces of a surface, and the patches they are grouped into."""
 
-    Attributes:
-        points: on the surface [m], shape (n, 3).
-        vectors: area times outward normal [m^2], shape (n, 3).
-        places: two coordinates of a cell in its patch, -1 to 1, shape (n, 2).
-        patches: index of the patch of each, from 0, shape (n,).
-    """
+    points: np.ndarray  # on the surface [m], shape (n, 3)
+    vectors: np.ndarray  # area times outward normal [m^2], shape (n, 3)
+    places: np.ndarray  # two coordinates of a cell in its patch, -1 to 1, shape (n, 2)
+    patches: np.ndarray  # index of the patch of each, from 0, shape (n,)
 
-    points: np.ndarray
-    vectors: np.ndarray
-    places: np.ndarray
-    patches: np.ndarray
-
-    def only(self, chosen: np.ndarray) -> Cells:
+    def only(self, chosen: np.ndarray) -> "Cells":
         """Return those selected by a mask, shape (n,), in the same patches."""
         return Cells(
             self.points[chosen], self.vectors[chosen], self.places[chosen], self.patches[chosen]
@@ -163,6 +148,20 @@ def joined(parts: Sequence[Cells]) -> Cells:
     )
 
 
+def _revolved(profile: Callable[[np.ndarray], Any], up: float = 1.0) -> Skin:
+    """Return the skin of a surface of revolution about z, from its radius and height over u.
+
+    With `up` -1 the turn is reversed: the same profile, upside down, faces down.
+    """
+
+    def skin(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        radius, height = profile(u)
+        turn = 2 * math.pi * v * up
+        return np.stack([radius * np.cos(turn), radius * np.sin(turn), height], axis=-1)
+
+    return skin
+
+
 def ellipsoid(radii: tuple[float, float, float], resolution: int) -> Cells:
     """Return an ellipsoid: `resolution` rings from pole to pole, twice that around the equator."""
     size = np.array(radii)
@@ -187,25 +186,13 @@ def tube(radius: float, half: float, rows: int, around: int) -> Cells:
     All rows have the same normals; rotated against each other they sample twice as many. An odd
     number of rows is symmetric under reflection.
     """
-
-    def skin(u: np.ndarray, v: np.ndarray) -> np.ndarray:
-        turn = 2 * math.pi * v
-        return np.stack([radius * np.cos(turn), radius * np.sin(turn), half * (1 - 2 * u)], axis=-1)
-
+    skin = _revolved(lambda u: (radius, half * (1 - 2 * u)))
     return rings(skin, [around] * rows, [0.5 * (row % 2) for row in range(rows)])
 
 
 def disc(radius: float, height: float, count: int) -> Cells:
     """Return a disc at that height, facing away from z = 0: `count` rings of 6, 12, ... patches."""
-    up = math.copysign(1.0, height)
-
-    def skin(u: np.ndarray, v: np.ndarray) -> np.ndarray:
-        turn = 2 * math.pi * v * up
-        return np.stack(
-            [radius * u * np.cos(turn), radius * u * np.sin(turn), np.full_like(u, height)],
-            axis=-1,
-        )
-
+    skin = _revolved(lambda u: (radius * u, np.full_like(u, height)), math.copysign(1.0, height))
     return rings(skin, [6 * (k + 1) for k in range(count)])
 
 
@@ -213,19 +200,12 @@ def cap(radius: float, height: float, count: int) -> Cells:
     """Return a half sphere, its rim at that height, facing away from z = 0, in `count` rings."""
     up = math.copysign(1.0, height)
 
-    def skin(u: np.ndarray, v: np.ndarray) -> np.ndarray:
-        polar, turn = math.pi / 2 * u, 2 * math.pi * v * up
-        return np.stack(
-            [
-                radius * np.sin(polar) * np.cos(turn),
-                radius * np.sin(polar) * np.sin(turn),
-                height + up * radius * np.cos(polar),
-            ],
-            axis=-1,
-        )
+    def profile(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        polar = math.pi / 2 * u
+        return radius * np.sin(polar), height + up * radius * np.cos(polar)
 
     polar = [math.pi / 2 * (k + 0.5) / count for k in range(count)]
-    return rings(skin, [_around(4 * count * math.sin(angle)) for angle in polar])
+    return rings(_revolved(profile, up), [_around(4 * count * math.sin(angle)) for angle in polar])
 
 
 def cylinder(radius: float, half: float, resolution: int) -> Cells:
@@ -252,27 +232,20 @@ def box(halves: tuple[float, float, float], resolution: int) -> Cells:
     longest = max(halves)
     # The small number prevents rounding from adding a patch to a third of a multiple of three.
     counts = [max(1, math.ceil(resolution / 3 * half / longest - 1e-9)) for half in halves]
-    parts = []
-    for axis in range(3):
+
+    def face(axis: int, side: float) -> Cells:
         first, second = (axis + 1) % 3, (axis + 2) % 3
-        for side in (1.0, -1.0):
 
-            def skin(
-                u: np.ndarray,
-                v: np.ndarray,
-                axis: int = axis,
-                first: int = first,
-                second: int = second,
-                side: float = side,
-            ) -> np.ndarray:
-                points = np.empty((*u.shape, 3))
-                points[..., axis] = side * halves[axis]
-                points[..., first] = side * halves[first] * (2 * u - 1)
-                points[..., second] = halves[second] * (2 * v - 1)
-                return points
+        def skin(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+            points = np.empty((*u.shape, 3))
+            points[..., axis] = side * halves[axis]
+            points[..., first] = side * halves[first] * (2 * u - 1)
+            points[..., second] = halves[second] * (2 * v - 1)
+            return points
 
-            parts.append(patches(skin, counts[first], counts[second]))
-    return joined(parts)
+        return patches(skin, counts[first], counts[second])
+
+    return joined([face(axis, side) for axis in range(3) for side in (1.0, -1.0)])
 
 
 def _rows(radius: float, half: float, resolution: int) -> int:

@@ -1,7 +1,5 @@
 """Parse a user's choice of a surface."""
 
-from __future__ import annotations
-
 from dataclasses import MISSING, fields
 from typing import Any
 
@@ -9,10 +7,7 @@ from mjgranular._util.checks import kind_of
 from mjgranular._util.parse import read_part
 from mjgranular._util.registry import Registry
 from mjgranular.errors import InputError, shown
-from mjgranular.surface.bed import Bed
-from mjgranular.surface.height_field import HeightField
-from mjgranular.surface.plane import Plane
-from mjgranular.surface.surface import Surface
+from mjgranular.surface.surface import Bed, HeightField, Plane, Surface
 
 surfaces: Registry[type[Surface]] = Registry("surface")
 surfaces.add("plane", Plane)

@@ -1,7 +1,5 @@
 """Rigid ground of the model that carries bodies before they meet the sand."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Sequence
 
@@ -9,8 +7,7 @@ import mujoco
 import numpy as np
 
 from mjgranular.shape.sizes import geom_name, geom_type
-from mjgranular.surface.plane import Plane
-from mjgranular.surface.surface import Surface
+from mjgranular.surface.surface import Plane, Surface
 
 SKIN = 1e-3
 """Depth below the sand's surface up to which ground carries what stands on it [m]; chosen."""

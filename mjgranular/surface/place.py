@@ -1,7 +1,5 @@
 """Geoms that are sand, or that sand replaces: fixed in the world, without contacts."""
 
-from __future__ import annotations
-
 import math
 
 import mujoco
@@ -52,22 +50,17 @@ def _disable_contacts(model: mujoco.MjModel, geoms: list[int], thing: str) -> No
                 f"geom {_name(model, geom)!r} is on body {name_of(model, 'body', body)!r}, which "
                 f"can move: {thing} must be fixed to the world"
             )
-        _refuse_pairs(model, geom, thing)
+        for number in range(model.npair):  # an explicit pair collides whatever the two flags are
+            ends = [int(model.pair_geom1[number]), int(model.pair_geom2[number])]
+            if geom in ends:
+                pair = name_of(model, "pair", number) or number
+                first, second = (_name(model, end) for end in ends)
+                raise InputError(
+                    f"the contact pair {pair!r} makes geoms {first!r} and {second!r} collide, but "
+                    f"{_name(model, geom)!r} is {thing}, which bodies sink into: remove that <pair>"
+                )
     model.geom_contype[geoms] = 0
     model.geom_conaffinity[geoms] = 0
-
-
-def _refuse_pairs(model: mujoco.MjModel, geom: int, thing: str) -> None:
-    """Check that a geom is in no explicit pair, which collides for any contype and conaffinity."""
-    for number in range(model.npair):
-        ends = [int(model.pair_geom1[number]), int(model.pair_geom2[number])]
-        if geom in ends:
-            pair = name_of(model, "pair", number) or number
-            first, second = (_name(model, end) for end in ends)
-            raise InputError(
-                f"the contact pair {pair!r} makes geoms {first!r} and {second!r} collide, but "
-                f"{_name(model, geom)!r} is {thing}, which bodies sink into: remove that <pair>"
-            )
 
 
 def _name(model: mujoco.MjModel, geom: int) -> str | int:

@@ -1,15 +1,22 @@
-"""The interface of surfaces."""
+"""The interface of surfaces, and their kinds: a plane, a box geom as a bed, an hfield geom."""
 
-from __future__ import annotations
-
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
 from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
 
-from mjgranular.errors import InputError
+from mjgranular._util.checks import is_finite
+from mjgranular.errors import InputError, shown
+from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.memory import records
+from mjgranular.kernel.vector import dot, read_matrix, read_vector, transposed, vector
+from mjgranular.shape.sizes import check_extents
+from mjgranular.surface.place import find_geom, tilt_of, world_pose
 
 
 class Surface(ABC):
@@ -80,3 +87,266 @@ class Surface(ABC):
     @abstractmethod
     def tilt(self, model: mujoco.MjModel) -> float:
         """Return the steepest angle of the surface from the horizontal, across gravity [rad]."""
+
+
+PLANE_DTYPE = np.dtype([("normal", np.float64, (3,)), ("offset", np.float64)])
+
+
+@partial(compiled, inline=True)
+def plane_probe(plane, point):
+    """Return a point's depth below the plane along its normal [m], negative above; the normal."""
+    normal = read_vector(plane.normal, 0)
+    return plane.offset - dot(normal, point), normal
+
+
+@dataclass(frozen=True)
+class Plane(Surface):
+    """An infinite plane of sand.
+
+    Attributes:
+        height: world z of the surface above the world's origin [m].
+        slope: angle from the horizontal [rad], below pi/2. Gravity is that of the model and does
+            not rotate with it.
+        uphill: direction of steepest ascent, as an angle from the x axis about z [rad].
+
+    Raises:
+        InputError: a value that is not finite, a slope outside (-pi/2, pi/2), or a direction of
+            more than one turn.
+    """
+
+    probe: ClassVar[Any] = plane_probe
+    is_plane: ClassVar[bool] = True
+
+    height: float = 0.0
+    slope: float = 0.0
+    uphill: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("height", "slope", "uphill"):
+            value = getattr(self, name)
+            if not is_finite(value):
+                raise InputError(f"the plane's {name} must be finite, not {shown(value)}")
+        if abs(self.slope) >= math.pi / 2:
+            raise InputError(
+                f"the plane's slope must be less than 90 degrees (pi/2 = 1.5708 rad), "
+                f"not {self.slope:.4f} rad"
+            )
+        if abs(self.uphill) > 2 * math.pi:
+            raise InputError(
+                f"the plane's uphill is an angle in radians, from -2 pi to 2 pi, not "
+                f"{self.uphill:g}: {self.uphill:g} degrees are {math.radians(self.uphill):.4g}"
+            )
+
+    @property
+    def normal(self) -> np.ndarray:
+        """Unit normal out of the sand, world frame, shape (3,)."""
+        s = math.sin(self.slope)
+        return np.array(
+            [-s * math.cos(self.uphill), -s * math.sin(self.uphill), math.cos(self.slope)]
+        )
+
+    @property
+    def offset(self) -> float:
+        """Distance of the surface from the world's origin along the normal [m]."""
+        return self.height * math.cos(self.slope)
+
+    def record(self, model: mujoco.MjModel) -> np.ndarray:
+        plane = np.zeros(1, PLANE_DTYPE)
+        plane["normal"] = self.normal
+        plane["offset"] = self.offset
+        return plane
+
+    def lift(self, model: mujoco.MjModel) -> Mapping[str, np.ndarray]:
+        return {"offset": np.ones(())}
+
+    def tilt(self, model: mujoco.MjModel) -> float:
+        return tilt_of(self.normal, model)
+
+
+BED_DTYPE = np.dtype(
+    [
+        ("top", np.float64, (3,)),  # center of the upper face [m], world
+        ("along", np.float64, (3,)),  # unit vectors of the face and its normal, world
+        ("across", np.float64, (3,)),
+        ("normal", np.float64, (3,)),
+        ("half_along", np.float64),  # [m]
+        ("half_across", np.float64),
+        ("thickness", np.float64),
+    ]
+)
+
+# A body on the floor of the bed penetrates it slightly, as contacts in MuJoCo do: the sand reaches
+# down by this multiple of the thickness. Chosen, not measured.
+_ROOM = 1.1
+
+
+@compiled
+def bed_probe(bed, point):
+    """Return the depth below the upper face [m]; outside the bed, minus the distance to it."""
+    from_top = point - read_vector(bed.top, 0)
+    normal = read_vector(bed.normal, 0)
+    along = abs(dot(from_top, read_vector(bed.along, 0))) - bed.half_along
+    across = abs(dot(from_top, read_vector(bed.across, 0))) - bed.half_across
+    beside = max(along, across)
+    depth = -dot(normal, from_top)
+    if beside > 0.0:
+        depth = -beside
+    elif depth > _ROOM * bed.thickness:
+        depth = _ROOM * bed.thickness - depth
+    return depth, normal
+
+
+@dataclass(frozen=True)
+class Bed(Surface):
+    """The sand in a box geom: its upper face (+z of the geom) is the surface.
+
+    Beside and under the box there is no sand. Its lower face is not a floor: put an ordinary geom
+    there (a plane, or another box), which bodies meet through MuJoCo's own contacts. The box's own
+    contacts are disabled in the model when the sand is bound; an explicit contact pair, which
+    cannot be disabled, is an error.
+
+    Attributes:
+        geom: name of the box geom; it must be fixed to the world.
+    """
+
+    probe: ClassVar[Any] = bed_probe
+
+    geom: str
+
+    def record(self, model: mujoco.MjModel) -> np.ndarray:
+        geom = find_geom(model, self.geom, mujoco.mjtGeom.mjGEOM_BOX, "bed")
+        position, axes = world_pose(model, geom)
+        half = model.geom_size[geom]
+        check_extents(f"the bed {self.geom!r}", half)
+        bed = np.zeros(1, BED_DTYPE)
+        bed["top"] = position + half[2] * axes[:, 2]
+        bed["along"], bed["across"], bed["normal"] = axes.T
+        bed["thickness"] = 2 * half[2]
+        bed["half_along"], bed["half_across"] = half[:2]
+        return bed
+
+    def geoms(self, model: mujoco.MjModel) -> tuple[int, ...]:
+        return (find_geom(model, self.geom, mujoco.mjtGeom.mjGEOM_BOX, "bed"),)
+
+    def lift(self, model: mujoco.MjModel) -> Mapping[str, np.ndarray]:
+        return {"top": self.record(model)["normal"][0]}
+
+    def tilt(self, model: mujoco.MjModel) -> float:
+        return tilt_of(self.record(model)["normal"][0], model)
+
+
+HEIGHT_FIELD_DTYPE = np.dtype(
+    [
+        ("position", np.float64, (3,)),  # of the geom [m], world
+        ("axes", np.float64, (9,)),  # its rotation matrix, row by row
+        ("half_x", np.float64),  # [m]
+        ("half_y", np.float64),
+        ("elevation", np.float64),  # height of the datum 1 [m]
+        ("rows", np.int64),
+        ("columns", np.int64),
+        ("data", np.int64),  # address of MuJoCo's float32 heights, rows over y, columns over x
+    ]
+)
+
+_heights = records(np.dtype(np.float32))
+
+
+@partial(compiled, inline=True)
+def height_of(field, k):
+    """Return the datum with that index, as a height [m]."""
+    return _heights(field.data, field.rows * field.columns)[k] * field.elevation
+
+
+@compiled
+def height_field_probe(field, point):
+    """Return a point's depth along the normal of the bilinear surface over it; the normal."""
+    axes = read_matrix(field.axes, 0)
+    place = transposed(axes) @ (point - read_vector(field.position, 0))
+    # NaN is not within: only valid indices of the field pass.
+    if not (abs(place.x) <= field.half_x and abs(place.y) <= field.half_y):
+        beside = max(abs(place.x) - field.half_x, abs(place.y) - field.half_y)
+        return (-beside if beside > 0.0 else math.nan), axes @ vector(0.0, 0.0, 1.0)
+    step_x = 2.0 * field.half_x / float(field.columns - 1)
+    step_y = 2.0 * field.half_y / float(field.rows - 1)
+    u = (place.x + field.half_x) / step_x
+    v = (place.y + field.half_y) / step_y
+    column = min(int(u), field.columns - 2)
+    row = min(int(v), field.rows - 2)
+    u -= float(column)
+    v -= float(row)
+    k = row * field.columns + column
+    h00, h10 = height_of(field, k), height_of(field, k + 1)
+    k += field.columns
+    h01, h11 = height_of(field, k), height_of(field, k + 1)
+    height = (1.0 - v) * ((1.0 - u) * h00 + u * h10) + v * ((1.0 - u) * h01 + u * h11)
+    slope_x = ((1.0 - v) * (h10 - h00) + v * (h11 - h01)) / step_x
+    slope_y = ((1.0 - u) * (h01 - h00) + u * (h11 - h10)) / step_y
+    scale = 1.0 / math.sqrt(1.0 + slope_x * slope_x + slope_y * slope_y)
+    normal = axes @ vector(-slope_x * scale, -slope_y * scale, scale)
+    return (height - place.z) * scale, normal
+
+
+@dataclass(frozen=True)
+class HeightField(Surface):
+    """The surface of an hfield geom, bilinear between its data; outside it there is no sand.
+
+    The data may change while the simulation runs. The geom's own contacts are disabled in the model
+    when the sand is bound.
+
+    Attributes:
+        geom: name of the hfield geom; it must be fixed to the world.
+    """
+
+    probe: ClassVar[Any] = height_field_probe
+
+    geom: str
+
+    def record(self, model: mujoco.MjModel) -> np.ndarray:
+        geom = find_geom(model, self.geom, mujoco.mjtGeom.mjGEOM_HFIELD, "height field")
+        number = int(model.geom_dataid[geom])
+        rows, columns = int(model.hfield_nrow[number]), int(model.hfield_ncol[number])
+        if rows < 2 or columns < 2:
+            raise InputError(
+                f"the height field of geom {self.geom!r} has {rows} rows and {columns} columns: "
+                "at least 2 of each make a surface"
+            )
+        position, axes = world_pose(model, geom)
+        half_x, half_y, elevation, _ = model.hfield_size[number]
+        start = int(model.hfield_adr[number])
+        if start < 0 or start + rows * columns > len(model.hfield_data):
+            raise InputError(
+                f"the height field of geom {self.geom!r} has {rows} rows and {columns} columns, "
+                "too many for hfield_data: leave hfield_nrow and hfield_ncol as they were compiled"
+            )
+        check_extents(f"the height field of geom {self.geom!r}", (half_x, half_y, elevation))
+        field = np.zeros(1, HEIGHT_FIELD_DTYPE)
+        field["position"] = position
+        field["axes"] = axes.ravel()
+        field["half_x"], field["half_y"], field["elevation"] = half_x, half_y, elevation
+        field["rows"], field["columns"] = rows, columns
+        field["data"] = model.hfield_data[start:].ctypes.data
+        return field
+
+    def geoms(self, model: mujoco.MjModel) -> tuple[int, ...]:
+        return (find_geom(model, self.geom, mujoco.mjtGeom.mjGEOM_HFIELD, "height field"),)
+
+    def shape(self, model: mujoco.MjModel) -> tuple[np.ndarray, ...]:
+        number = int(model.geom_dataid[self.geoms(model)[0]])
+        arrays = (model.hfield_nrow, model.hfield_ncol, model.hfield_adr)
+        return tuple(array[number : number + 1] for array in arrays)
+
+    def lift(self, model: mujoco.MjModel) -> Mapping[str, np.ndarray]:
+        return {"position": self.record(model)["axes"][0][2::3]}
+
+    def tilt(self, model: mujoco.MjModel) -> float:
+        field = self.record(model)[0]
+        number = int(model.geom_dataid[self.geoms(model)[0]])
+        start = int(model.hfield_adr[number])
+        count = field["rows"] * field["columns"]
+        heights = model.hfield_data[start : start + count].reshape(field["rows"], field["columns"])
+        heights = heights * field["elevation"]
+        with np.errstate(invalid="ignore"):  # heights may be set later
+            dy = np.diff(heights, axis=0) / (2 * field["half_y"] / (field["rows"] - 1))
+            dx = np.diff(heights, axis=1) / (2 * field["half_x"] / (field["columns"] - 1))
+        steepest = math.atan(math.hypot(np.abs(dx).max(), np.abs(dy).max()))
+        return steepest + tilt_of(field["axes"].reshape(3, 3)[:, 2], model)

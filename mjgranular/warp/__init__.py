@@ -1,4 +1,8 @@
-"""Sand in thousands of worlds at once with MuJoCo Warp, on GPUs and CPUs."""
+"""Sand in thousands of worlds at once with MuJoCo Warp, on GPUs and CPUs.
+
+Modules with kernels do without `from __future__ import annotations`: Warp reads the types of local
+structs in place.
+"""
 
 from mjgranular._util.extras import require
 

@@ -36,14 +36,16 @@ class Constraints:
 
     def solve(self, m: Any, d: Any) -> None:
         """Solve MuJoCo Warp's equations with sand in the metric, except for constraints."""
-        self._with_sand(m, d)
+        self._restore(d)
+        mjw.fwd_actuation(m, d)
         self._restore(d)
         mjw.fwd_acceleration(m, d, factorize=True)
         mjw.solve(m, d)
 
     def prepare(self, m: Any, d: Any) -> None:
         """Set inputs for which MuJoCo Warp's own scaling, by the current metric, returns them."""
-        self._with_sand(m, d)
+        self._restore(d)
+        mjw.fwd_actuation(m, d)
         wp.launch(
             _prepare,
             dim=d.efc.D.shape,
@@ -51,10 +53,6 @@ class Constraints:
             outputs=[d.efc.D, d.efc.aref],
             device=d.efc.D.device,
         )
-
-    def _with_sand(self, m: Any, d: Any) -> None:
-        self._restore(d)
-        mjw.fwd_actuation(m, d)
 
     def _restore(self, d: Any) -> None:
         wp.copy(d.efc.D, self._regularization)

@@ -1,6 +1,6 @@
 """Sand as a damping matrix of each body, at the predicted velocity at the end of the step.
 
-Each element has a symmetric matrix C for the velocity of its point (`warp.resistance`). The
+Each element has a symmetric matrix C for the velocity of its point (`warp.motions`). The
 elements of a body sum to a 6 x 6 matrix for its spatial velocity (`warp.motions`). In joint space h
 J^T C J has the sparsity of the inertia matrix, and MuJoCo Warp solves with the sum of both.
 
@@ -15,7 +15,6 @@ force, C is the secant of the element's total force and there is no constant for
 # pyright: reportOperatorIssue=false, reportGeneralTypeIssues=false
 # pyright: reportAssignmentType=false, reportAttributeAccessIssue=false
 
-# No `from __future__ import annotations`: Warp reads the types of local structs in place.
 import functools
 from typing import Any
 
@@ -34,11 +33,12 @@ from mjgranular.warp.motions import (
     bounded,
     motion_of,
     moved,
+    resistance_of,
+    secant_of,
     spatial,
     velocity_at,
     wrench_of,
 )
-from mjgranular.warp.resistance import resistance_of, secant_of
 from mjgranular.warp.translate import struct_of, translated
 
 _STILL = 1e-3
@@ -246,15 +246,9 @@ def _with_momentum(
 ):
     """Return the damping of an element including its added mass, and the constant force.
 
-    Args:
-        c: damping by resistance, at the velocity v.
-        tangent: damping that the prediction uses instead of `c`.
-        kicked: constant force that belongs to `tangent`.
-        n: normal of the element.
-        rate: m / h of its sand [kg/s].
-        start: m' s_b / h [N].
-        v: predicted velocity of the element.
-        last: whether these are the final equations of the step.
+    Damping by resistance is `c` at the predicted velocity v; the prediction uses `tangent` instead,
+    with the constant force `kicked`. `rate` is m / h of the sand along the normal n [kg/s], `start`
+    is m' s_b / h [N]. `last` is whether these are the final equations of the step.
     """
     speed = wp.length(v)
     if speed > 0.0:

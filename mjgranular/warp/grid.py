@@ -10,13 +10,16 @@ from other nodes stored in the same place.
 # pyright: reportOperatorIssue=false, reportGeneralTypeIssues=false, reportIndexIssue=false
 # pyright: reportAttributeAccessIssue=false
 
-# No `from __future__ import annotations`: Warp reads the types of local structs in place.
 from typing import Any
 
 import numpy as np
 import warp as wp
 
-from mjgranular.warp.structs import struct
+
+def struct(name: str, fields: dict[str, Any]) -> Any:
+    """Make a Warp struct."""
+    return wp.struct(type(name, (), {"__annotations__": fields, "__module__": __name__}))
+
 
 Grid = struct(
     "Grid",

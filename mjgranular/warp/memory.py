@@ -1,7 +1,5 @@
 """Memory of each world's sand: its arrays on the device, and its update after each step."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import mujoco
@@ -10,12 +8,12 @@ import warp as wp
 
 from mjgranular.errors import InputError
 from mjgranular.relief.footprint import Footprint
-from mjgranular.relief.heights import Heights, square_about
+from mjgranular.relief.memory import Heights, square_about
 from mjgranular.relief.probe import level_kernel
 from mjgranular.relief.relief import Relief
-from mjgranular.warp import flow, heap, press, update
+from mjgranular.warp import update
 from mjgranular.warp.grid import Grid, tiles_of
-from mjgranular.warp.records import (
+from mjgranular.warp.translate import (
     PlainRelief,
     plain_relief,
     struct_of_surface,
@@ -56,14 +54,14 @@ class WarpMemory:
         grid.height, grid.tile = zeros(nodes), zeros(nodes, int)
         grid.sums, grid.highest = zeros((count, blocks, blocks)), zeros((count,))
         self._grid = grid
-        self._wanted = wp.full(nodes, press.UNWANTED, dtype=wp.int64, device=device)
+        self._wanted = wp.full(nodes, update.UNWANTED, dtype=wp.int64, device=device)
         self._foot = zeros(nodes, int)
         self._places = zeros(feet, wp.vec3)
         self._waiting, self._count = zeros(feet), zeros(feet, int)
         self._volumes = zeros((count, 3))
         self._last, self._since = zeros((count,)), zeros((count, 2))
         self._task, self._rate = zeros((count,), int), zeros((count,))
-        self._skin = wp.array(_skin_of(footprint), dtype=press.Skin, device=device)
+        self._skin = wp.array(_skin_of(footprint), dtype=update.Skin, device=device)
 
         self.surface = surface_on_device(relief, record, model, device, grid)
         self._plain = plain_relief(record, grid)
@@ -71,10 +69,8 @@ class WarpMemory:
         self._leveled = self._plain if relief.is_flat else self.surface
         struct = PlainRelief if relief.is_flat else struct_of_surface(relief, record)
         level = level_kernel(type(relief.base).probe, relief.is_flat)
-        self._press, self._flow = (
-            press.press_kernel(struct, level),
-            flow.flow_kernel(struct, level),
-        )
+        self._press = update.press_kernel(struct, level)
+        self._flow = update.flow_kernel(struct, level)
 
     def update(self, m: Any, d: Any, height: wp.array, up: wp.vec3) -> None:
         """Press sand down under the bodies of each world, deposit rims, and let it flow.
@@ -93,11 +89,11 @@ class WarpMemory:
         pressing = [self._skin, task, height, up, d.xpos, d.xmat, self._wanted, self._places]
         self._launch(self._press, over_nodes, [self._leveled], pressing)
         at_feet = [relief, task, self._places, foot]
-        self._launch(press.settle, over_nodes, at_feet, [self._wanted, self._waiting, volumes])
-        self._launch(heap.edge, over_nodes, [relief, task, foot])
-        self._launch(heap.surround, over_nodes, at_feet, shares)
-        self._launch(heap.heap, over_nodes, at_feet, [*shares, volumes])
-        self._launch(heap.keep, (worlds, feet), [relief, task, *shares, volumes])
+        self._launch(update.settle, over_nodes, at_feet, [self._wanted, self._waiting, volumes])
+        self._launch(update.edge, over_nodes, [relief, task, foot])
+        self._launch(update.surround, over_nodes, at_feet, shares)
+        self._launch(update.heap, over_nodes, at_feet, [*shares, volumes])
+        self._launch(update.keep, (worlds, feet), [relief, task, *shares, volumes])
         # Squares of one pass share no node.
         for first_row in (0, 1):
             for first_column in (0, 1):
@@ -106,18 +102,10 @@ class WarpMemory:
         self._launch(update.sum_up, (worlds, blocks * blocks), [relief, task])
 
     def volumes(self) -> dict[str, np.ndarray]:
-        """Return the volumes of each world since its start [m^3], each of shape (nworld,).
-
-        They are `pressed` down, `heaped` up, `forgotten` where the grid is wrapped around, and
-        `waiting` to be deposited beside a track.
-        """
-        found = self._volumes.numpy()
-        return {
-            "pressed": found[:, update.PRESSED],
-            "heaped": found[:, update.HEAPED],
-            "forgotten": found[:, update.FORGOTTEN],
-            "waiting": self._waiting.numpy().sum(1),
-        }
+        """Return the volumes of each world; see `WarpSand.volumes`."""
+        pressed, heaped, forgotten = self._volumes.numpy().T
+        waiting = self._waiting.numpy().sum(1)
+        return {"pressed": pressed, "heaped": heaped, "forgotten": forgotten, "waiting": waiting}
 
     def heights(self, world: int, middle: tuple[float, float]) -> Heights:
         """Return the heights of a world around a point; see `WarpSand.relief`."""
@@ -138,7 +126,7 @@ def _skin_of(footprint: Footprint) -> np.ndarray:
     """Return the points of a footprint, each with the index of its contact geom."""
     points = footprint.points.transpose(0, 2, 1)  # tile by tile, point by point
     tiles, lanes, _ = points.shape
-    skin: Any = np.zeros(tiles * lanes, press.Skin.numpy_dtype())
+    skin: Any = np.zeros(tiles * lanes, update.Skin.numpy_dtype())
     feet = np.searchsorted(footprint.feet["end"], np.arange(tiles), side="right").repeat(lanes)
     skin["foot"], skin["body"] = feet, footprint.feet["body"][feet]
     skin["point"], skin["normal"] = points.reshape(-1, 6)[:, :3], points.reshape(-1, 6)[:, 3:]

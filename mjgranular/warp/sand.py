@@ -1,9 +1,6 @@
 """`WarpSand`: sand in all worlds of MuJoCo Warp."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, Unpack
 
 import mujoco
@@ -16,8 +13,7 @@ from mjgranular.law import make_scene
 from mjgranular.law.law import get_law
 from mjgranular.medium import Medium, get_medium
 from mjgranular.relief.footprint import fitting
-from mjgranular.relief.heights import Heights
-from mjgranular.relief.memory import as_memory
+from mjgranular.relief.memory import Heights, as_memory
 from mjgranular.relief.relief import Relief, place_in_plane
 from mjgranular.sand.chosen import choose_sand, kernel_under, remembering
 from mjgranular.sand.spec import SandFields, SandSpec, combined
@@ -33,16 +29,23 @@ from mjgranular.warp.damping import (
     warm_start,
     wrenches_of_step,
 )
-from mjgranular.warp.fit import check_model, check_no_plugins, slots_of, slots_of_dofs, up_of
+from mjgranular.warp.fit import (
+    check_model,
+    check_no_plugins,
+    check_room,
+    check_room_to_remember,
+    slots_of,
+    slots_of_dofs,
+    up_of,
+)
 from mjgranular.warp.memory import WarpMemory
 from mjgranular.warp.motions import Damping, Slot
-from mjgranular.warp.records import (
+from mjgranular.warp.translate import (
     struct_of_dtype,
     struct_of_surface,
     surface_on_device,
     to_device,
 )
-from mjgranular.warp.room import check_room, check_room_to_remember
 
 SOFTNESS = 1e-6
 """Speed over which rest is softened [m/s]. Chosen: bodies at rest move at about this speed; single
@@ -59,22 +62,6 @@ _MOST_DAMPING = 2e4
 
 _OF_A_BODY = Damping.numpy_dtype()["itemsize"] + 4 * (6 + 3 + 3 + 5)
 """Bytes of a body in a world: damping, constant force, force, moment, and five numbers."""
-
-
-@dataclass(frozen=True)
-class _Arrays:
-    """Arrays on the device that a step writes, allocated once, as CUDA graphs require."""
-
-    predicted: wp.array  # predicted velocities at the end of the step, (nworld, nv)
-    found: wp.array  # final velocities of the last solution of the equations
-    gap: wp.array  # difference between the velocities predicted before and found
-    share: wp.array  # factor on the speed of moving sand after its body has turned
-    damping: wp.array  # of each body in the sand, (nworld, bodies)
-    start_force: wp.array  # constant force of sand that already moves: momentum per time
-    limit: wp.array  # sum of static resistance over each body's elements [N]
-    creep: wp.array  # velocities removed from creeping robots, else zero, (nworld, nv)
-    passive: wp.array  # other passive forces, (nworld, nv)
-    fluid: wp.array  # damping by fluids, in the sparsity of the inertia matrix
 
 
 class WarpSand:
@@ -221,25 +208,27 @@ class WarpSand:
         most = _MOST_DAMPING * model.body_subtreemass[self._slots["root"]]
         self._most = wp.array(most, dtype=float, device=device)
 
-        def zeros(shape: tuple[int, ...], kind: Any) -> wp.array:
-            return wp.zeros(shape, dtype=kind, device=device)
+        def of_bodies(kind: Any = float) -> wp.array:
+            return wp.zeros((n, count), dtype=kind, device=device)
+
+        def of_dofs() -> wp.array:
+            return wp.zeros((n, model.nv), dtype=float, device=device)
 
         self.strength, self.density = (wp.ones(n, dtype=float, device=device) for _ in range(2))
-        self.height = zeros((n,), float)
-        self.depth, self.speed, self.power = (zeros((n, count), float) for _ in range(3))
-        self.force, self.moment = zeros((n, count), wp.vec3), zeros((n, count), wp.vec3)
-        self._arrays = _Arrays(
-            predicted=zeros((n, model.nv), float),
-            found=zeros((n, model.nv), float),
-            gap=zeros((n, model.nv), float),
-            share=zeros((n, count), float),
-            damping=zeros((n, count), Damping),
-            start_force=zeros((n, count), wp.spatial_vector),
-            limit=zeros((n, count), float),
-            creep=zeros((n, model.nv), float),
-            passive=wp.zeros_like(d.qfrc_passive),
-            fluid=wp.zeros_like(d.efm_fluid),
-        )
+        self.height = wp.zeros(n, dtype=float, device=device)
+        self.depth, self.speed, self.power = of_bodies(), of_bodies(), of_bodies()
+        self.force, self.moment = of_bodies(wp.vec3), of_bodies(wp.vec3)
+        # What a step writes is allocated once, as CUDA graphs require.
+        self._predicted = of_dofs()  # velocities at the end of the step
+        self._found = of_dofs()  # final velocities of the last solution of the equations
+        self._gap = of_dofs()  # difference between the velocities predicted before and found
+        self._share = of_bodies()  # factor on the speed of moving sand after its body has turned
+        self._damping = of_bodies(Damping)
+        self._start_force = of_bodies(wp.spatial_vector)  # of sand that moves: momentum per time
+        self._limit = of_bodies()  # sum of static resistance over each body's elements [N]
+        self._creep = of_dofs()  # velocities removed from creeping robots, else zero
+        self._passive = wp.zeros_like(d.qfrc_passive)  # other passive forces
+        self._fluid = wp.zeros_like(d.efm_fluid)  # damping by fluids, sparse as the inertia matrix
         self._constraints = Constraints(d)
         self._control_before, self._sensor_before = m.callback.control, m.callback.sensor
         m.callback.control, m.callback.sensor = self._on_control, self._on_sensor
@@ -322,15 +311,14 @@ class WarpSand:
         """Compute the damping of this step when MuJoCo Warp calls the control callback."""
         if self._control_before is not None:
             self._control_before(m, d)
-        a = self._arrays
-        wp.copy(a.passive, d.qfrc_passive)
-        wp.copy(a.fluid, d.efm_fluid)
+        wp.copy(self._passive, d.qfrc_passive)
+        wp.copy(self._fluid, d.efm_fluid)
         self._constraints.find(m, d)
         self._launch(
             warm_start,
             (self._size[0], self._model.nv),
-            [m.opt.timestep, self._cold, d.qvel, d.qacc_warmstart, d.time, a.creep],
-            [a.predicted],
+            [m.opt.timestep, self._cold, d.qvel, d.qacc_warmstart, d.time, self._creep],
+            [self._predicted],
         )
         count = self._corrections
         self._resist_all(m, d, first=True, last=count == 0)
@@ -343,7 +331,7 @@ class WarpSand:
                     *(correction > 0, self._root_first, self._row_first, m.opt.timestep),
                     *(d.M, d.qvel, d.qacc),
                 ],
-                [a.gap, a.found, a.predicted],
+                [self._gap, self._found, self._predicted],
             )
             self._resist_all(m, d, first=False, last=correction == count - 1)
         self._constraints.prepare(m, d)
@@ -354,14 +342,14 @@ class WarpSand:
             self._sensor_before(m, d, stage)
         if int(stage) != int(mujoco.mjtStage.mjSTAGE_ACC):
             return
-        a = self._arrays
-        self._predict(m, d)
+        of_dofs = (self._size[0], self._model.nv)
+        self._launch(predict, of_dofs, [m.opt.timestep, d.qvel, d.qacc], [self._predicted])
         self._launch(
             wrenches_of_step,
             self._size,
             [
                 *(self._slot_array, self._chain_array, d.xipos, d.subtree_com, d.cdof),
-                *(a.predicted, a.damping),
+                *(self._predicted, self._damping),
             ],
             [self.force, self.moment, self.power],
         )
@@ -371,20 +359,16 @@ class WarpSand:
             [
                 *(self._roots, self._root_first, self._slot_array, self._row_first, self._columns),
                 *(m.opt.timestep, m.opt.sleep_tolerance, m.dof_length),
-                *(d.M, d.qvel, a.predicted, self.power),
+                *(d.M, d.qvel, self._predicted, self.power),
             ],
-            [a.creep, d.qacc],
+            [self._creep, d.qacc],
         )
         if self._memory is not None:
             self._memory.update(m, d, self.height, self._up)
 
-    def _predict(self, m: Any, d: Any) -> None:
-        shape = (self._size[0], self._model.nv)
-        self._launch(predict, shape, [m.opt.timestep, d.qvel, d.qacc], [self._arrays.predicted])
-
     def _resist_all(self, m: Any, d: Any, *, first: bool, last: bool) -> None:
         """Compute damping at the predicted velocities, its forces and its part of the metric."""
-        a, n = self._arrays, self._size[0]
+        n = self._size[0]
         self._launch(
             self._resist,
             self._size,
@@ -394,21 +378,37 @@ class WarpSand:
                 *(self.strength, self.density, self.height),
                 *(self._up, self._softness, m.opt.timestep, m.opt.gravity),
                 *(d.xpos, d.xmat, d.xipos, d.subtree_com, d.cvel, d.cdof, d.cdof_dot, d.qvel),
-                *(a.predicted, a.found, a.gap),
+                *(self._predicted, self._found, self._gap),
             ],
-            [a.share, a.damping, a.start_force, self.depth, self.speed, a.limit],
+            [self._share, self._damping, self._start_force, self.depth, self.speed, self._limit],
         )
         of_dofs = [self._dof_slots, self._dof_first]
         self._launch(
             assemble_forces,
             (n, self._model.nv),
-            [self._slot_array, *of_dofs, d.cdof, d.cvel, a.damping, a.start_force, a.passive],
+            [
+                self._slot_array,
+                *of_dofs,
+                d.cdof,
+                d.cvel,
+                self._damping,
+                self._start_force,
+                self._passive,
+            ],
             [d.qfrc_passive],
         )
         self._launch(
             assemble_damping,
             (n, len(self._rows)),
-            [self._rows, self._columns, *of_dofs, m.opt.timestep, d.cdof, a.damping, a.fluid],
+            [
+                self._rows,
+                self._columns,
+                *of_dofs,
+                m.opt.timestep,
+                d.cdof,
+                self._damping,
+                self._fluid,
+            ],
             [d.efm_fluid],
         )
 

@@ -1,4 +1,4 @@
-"""The kernels of laws and surfaces, compiled by Warp from the same source.
+"""The kernels of laws and surfaces, compiled by Warp from the same source, and their records.
 
 A kernel is Python that numba compiles (`kernel.compiled`). Warp compiles Python too; only the
 meaning of the names differs. `translated` takes a kernel's code and binds its names to Warp's
@@ -6,25 +6,25 @@ equivalents: vectors are `wp.vec3`, named tuples are structs, a kernel that is c
 first. So each formula is written once. All numbers are single precision.
 """
 
-from __future__ import annotations
-
 import functools
 import hashlib
 import inspect
 import math
 from collections.abc import Callable
 from types import CellType, FunctionType
-from typing import Any, get_args, get_type_hints
+from typing import Any, get_type_hints
 
+import numpy as np
 import warp as wp
 
 from mjgranular.kernel import elementary, lanes, memory, vector
 from mjgranular.kernel.motion import Motion
 from mjgranular.law.kernel import Level, Pose
 from mjgranular.relief import grid, probe
-from mjgranular.surface import height_field
+from mjgranular.relief.relief import Relief, relief_dtype
+from mjgranular.surface.surface import Surface, height_of
 from mjgranular.warp import grid as grid_of_worlds
-from mjgranular.warp.structs import struct
+from mjgranular.warp.grid import Grid, struct
 
 MATRIX_2X3 = wp.types.matrix(shape=(2, 3), dtype=wp.float32)
 """Two vectors: the half edges of a facet."""
@@ -105,7 +105,7 @@ _MEANINGS: dict[int, Any] = {
         (lanes.root, wp.sqrt),
         (elementary.logarithm, wp.log),
         (elementary.exponential, wp.exp),
-        (height_field.height_of, _height),
+        (height_of, _height),
         (memory.floats, _read),
         (probe.state_length, _no_length),
         (probe.highest_of, grid_of_worlds.highest_of),
@@ -113,38 +113,30 @@ _MEANINGS: dict[int, Any] = {
         (grid.mean_at, grid_of_worlds.mean_at),
     )
 }
-_FIELD_TYPES = {float: wp.float32, vector.Vector: wp.vec3, vector.Matrix: wp.mat33}
-
-
-_MOTION = struct("Motion", {"angular": wp.vec3, "linear": wp.vec3})
-_TUPLES: dict[type, Any] = {
-    Motion: _MOTION,
-    Level: struct("Level", {"normal": wp.vec3, "depth": wp.float32}),
-    Pose: struct(
-        "Pose",
-        {
-            "position": wp.vec3,
-            "rotation": wp.mat33,
-            "com": wp.vec3,
-            "tree": wp.vec3,
-            "motion": _MOTION,
-        },
-    ),
+_FIELD_TYPES = {
+    float: wp.float32,
+    vector.Vector: wp.vec3,
+    vector.Matrix: wp.mat33,
+    tuple[vector.Vector, vector.Vector]: MATRIX_2X3,
+}
+_UNTYPED: dict[type, dict[str, Any]] = {
+    Level: {"normal": vector.Vector, "depth": float},
+    Pose: {
+        "position": vector.Vector,
+        "rotation": vector.Matrix,
+        "com": vector.Vector,
+        "tree": vector.Vector,
+        "motion": Motion,
+    },
 }
 
 
+@functools.cache
 def struct_of(kind: type) -> Any:
     """Return the Warp struct of a named tuple (`kernel.fields`)."""
-    if kind not in _TUPLES:
-        fields = {name: _field_type(each) for name, each in get_type_hints(kind).items()}
-        _TUPLES[kind] = struct(kind.__name__, fields)
-    return _TUPLES[kind]
-
-
-def _field_type(kind: Any) -> Any:
-    if get_args(kind) == (vector.Vector, vector.Vector):
-        return MATRIX_2X3
-    return _FIELD_TYPES[kind]
+    hints = _UNTYPED.get(kind) or get_type_hints(kind)
+    fields = {name: _FIELD_TYPES.get(each) or struct_of(each) for name, each in hints.items()}
+    return struct(kind.__name__, fields)
 
 
 @functools.cache
@@ -184,3 +176,100 @@ def _identity(thing: Any) -> str:
     parts = [source.__module__, source.__qualname__]
     parts += [_identity(cell.cell_contents) for cell in source.__closure__ or ()]
     return hashlib.sha256(" ".join(parts).encode()).hexdigest()[:8]
+
+
+_UNREAD = ("points", "spheres", "feet")  # addresses that no kernel reads on a device
+_ADDRESSES = {"data": wp.array(dtype=wp.float32), "state": Grid}
+_BY_SHAPE = {(): wp.float32, (3,): wp.vec3, (9,): wp.mat33, (3, 3): wp.mat33, (2, 3): MATRIX_2X3}
+
+
+@functools.cache
+def struct_of_dtype(name: str, dtype: np.dtype) -> Any:
+    """Make the Warp struct with the fields of a dtype: numbers, vectors, matrices, records.
+
+    Addresses of heights become arrays named `data`; the address of a relief's state becomes its
+    `Grid`.
+    """
+    fields: dict[str, Any] = {}
+    for key in dtype.names or ():
+        kind = dtype[key]
+        if key in _ADDRESSES:
+            fields[key] = _ADDRESSES[key]
+        elif kind.names:
+            fields[key] = struct_of_dtype(name.removeprefix(Relief.__name__), kind)
+        elif kind.base.kind == "i":
+            fields[key] = wp.int32
+        else:
+            fields[key] = _of_shape(kind.shape)
+    return struct(name, fields)
+
+
+def _of_shape(shape: tuple[int, ...]) -> Any:
+    """Return the type of a numeric field."""
+    if shape not in _BY_SHAPE and len(shape) == 1:
+        return wp.types.vector(length=shape[0], dtype=wp.float32)
+    return _BY_SHAPE[shape]
+
+
+_relief = relief_dtype(np.dtype([]))
+PlainRelief = struct_of_dtype(
+    "PlainRelief",
+    np.dtype([(name, _relief[name]) for name in _relief.names or () if name != "base"]),
+)
+"""A surface with memory but without its base surface, which many kernels do not need."""
+
+
+def to_device(records: np.ndarray, kind: Any, device: Any) -> wp.array:
+    """Copy records, shape (n,), to a device, as structs (`struct_of`) with the same fields."""
+    made = struct_of(kind) if hasattr(kind, "_fields") else kind
+    packed: Any = np.zeros(len(records), made.numpy_dtype())
+    fields: Any = records
+    for name in made.vars:
+        packed[name] = fields[name].reshape(packed[name].shape)
+    return wp.array(packed, dtype=made, device=device)
+
+
+def struct_of_surface(surface: Surface, record: np.ndarray) -> Any:
+    """Return the Warp struct of a surface with that record, shape (1,)."""
+    return struct_of_dtype(_name_of(surface), record.dtype)
+
+
+def surface_on_device(
+    surface: Surface, record: np.ndarray, model: Any, device: Any, grid: Any = None
+) -> Any:
+    """Return the record of a surface as a struct; a height field has its present heights.
+
+    `grid` has its heights, if it has memory.
+    """
+    made = _filled(struct_of_surface(surface, record)(), record)
+    names = record.dtype.names or ()
+    if isinstance(surface, Relief):
+        made.base = surface_on_device(surface.base, record["base"], model, device)
+        made.state = grid
+    elif "data" in names:
+        first = int(model.hfield_adr[model.geom_dataid[surface.geoms(model)[0]]])
+        count = int(record["rows"][0] * record["columns"][0])
+        heights = model.hfield_data[first : first + count]
+        made.data = wp.array(heights, dtype=wp.float32, device=device)
+    return made
+
+
+def plain_relief(record: np.ndarray, grid: Any) -> Any:
+    """Return a surface with memory as a `PlainRelief`, from its record and its heights."""
+    made = _filled(PlainRelief(), record)
+    made.state = grid
+    return made
+
+
+def _filled(made: Any, record: np.ndarray) -> Any:
+    """Fill a struct with the numbers, vectors and matrices of a record, without its pointers."""
+    for name in record.dtype.names or ():
+        value = record[name][0]
+        if name not in (*_ADDRESSES, *_UNREAD, "base"):
+            setattr(made, name, _BY_SHAPE[value.shape](*value) if value.shape else value.item())
+    return made
+
+
+def _name_of(surface: Surface) -> str:
+    kind = type(surface).__name__
+    return kind + _name_of(surface.base) if isinstance(surface, Relief) else kind

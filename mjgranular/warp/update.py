@@ -2,9 +2,9 @@
 
 The rules are those of `relief.update`, with formulas from the same source, but all nodes are
 processed at once. Each surface point requests a height at its nodes, and the lowest wins
-(`warp.press`). Each node beside a track takes its share of what the nearest body displaced
-(`warp.heap`). Sand flows in squares of four nodes, every other one along both axes, so that no two
-share a node (`warp.flow`).
+(`press`). Each node beside a track takes its share of what the nearest body displaced (`heap`).
+Sand flows in squares of four nodes, every other one along both axes, so that no two share a node
+(`flow`).
 
 `LANES` threads per world process its points or nodes, in any order. A world with nothing to do
 costs almost nothing.
@@ -15,14 +15,36 @@ costs almost nothing.
 # pyright: reportOperatorIssue=false, reportGeneralTypeIssues=false, reportIndexIssue=false
 # pyright: reportAttributeAccessIssue=false, reportAssignmentType=false
 
-# No `from __future__ import annotations`: Warp reads the types of local structs in place.
+import functools
 from typing import Any
 
+import numpy as np
 import warp as wp
 
-from mjgranular.relief.update import FASTEST, FLOWS_AFTER, PRESSED_AFTER
-from mjgranular.warp.grid import corner_of, in_world, tile_of, wrapped
-from mjgranular.warp.records import PlainRelief
+from mjgranular.relief.update import (
+    FACES_DOWN,
+    FASTEST,
+    FLOWS_AFTER,
+    LEAST,
+    PRESSED_AFTER,
+    REST,
+    excess_of,
+    gains_of,
+    has_edges,
+    is_sand,
+    skin_at,
+    slope_to,
+)
+from mjgranular.warp.grid import (
+    corner_of,
+    height_of_node,
+    in_world,
+    node_in,
+    struct,
+    tile_of,
+    wrapped,
+)
+from mjgranular.warp.translate import PlainRelief, translated
 
 LANES = 256
 """Threads per world. Chosen."""
@@ -40,6 +62,11 @@ MOST_FEET = 1 << 12
 
 PRESSED, HEAPED, FORGOTTEN = range(3)
 """Volumes of each world [m^3]."""
+
+_NEAR = 32  # more than the number of edge nodes within two cells
+
+_is_sand, _has_edges, _skin_at = (translated(each) for each in (is_sand, has_edges, skin_at))
+_slope_to, _excess_of, _gains_of = (translated(each) for each in (slope_to, excess_of, gains_of))
 
 
 @wp.func
@@ -129,3 +156,335 @@ def sum_up(surface: PlainRelief, task: wp.array(dtype=int)):
             highest = wp.max(highest, height)
     grid.sums[world, block // relief.blocks, block % relief.blocks] = total
     wp.atomic_max(grid.highest, world, highest)
+
+
+Skin = struct("SkinPoint", {"foot": int, "body": int, "point": wp.vec3, "normal": wp.vec3})
+"""A surface point of a body, body frame; points on the axis of a rod have no normal."""
+
+# Requested heights are compared as integers with the contact geom's index in the low digits, so the
+# lowest wins in any order of threads. A nanometer is finer than single precision resolves.
+_NANOMETRES = 1e9
+UNWANTED = np.iinfo(np.int64).max
+"""Value of a node that no contact geom presses down."""
+
+_UNWANTED = wp.constant(wp.int64(UNWANTED))
+
+
+@wp.func
+def place_of(relief: Any, position: wp.vec3):
+    """Return a point along the axes of the plane under the heights [m]."""
+    place = position - relief.origin
+    return wp.vec3(
+        wp.dot(place, relief.along), wp.dot(place, relief.across), wp.dot(place, relief.normal)
+    )
+
+
+@functools.cache
+def press_kernel(relief_struct: Any, level: Any) -> Any:
+    """Make the kernel in which points request heights, for a surface with that `level`."""
+    level_at = translated(level)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def press(
+        surface: relief_struct,
+        skin: wp.array(dtype=Skin),
+        task: wp.array(dtype=int),
+        height: wp.array(dtype=float),
+        up: wp.vec3,
+        xpos: wp.array2d(dtype=wp.vec3),
+        xmat: wp.array2d(dtype=wp.mat33),
+        wanted: wp.array3d(dtype=wp.int64),
+        places: wp.array2d(dtype=wp.vec3),
+    ):
+        """Let each surface point request lower heights at the four nodes around it."""
+        world, lane = wp.tid()
+        if task[world] < PRESSES:
+            return
+        relief = in_world(surface, world)
+        cell, size = relief.cell, relief.size
+        lift = height[world % height.shape[0]] * up
+        for n in range(lane, skin.shape[0], LANES):
+            each = skin[n]
+            turn, origin = xmat[world, each.body], xpos[world, each.body] - lift
+            place = place_of(relief, origin + turn * each.point)
+            places[world, each.foot] = place
+            u, v = place[0], place[1]
+            slope_u, slope_v = float(0.0), float(0.0)
+            if wp.length(each.normal) > 0.5:
+                outward = turn * each.normal
+                downward = wp.dot(outward, relief.normal)
+                if downward > FACES_DOWN:
+                    continue
+                slope_u = -wp.dot(outward, relief.along) / downward
+                slope_v = -wp.dot(outward, relief.across) / downward
+            # NaN is not on the sand.
+            if not _is_sand(relief, u, v):
+                continue
+            i, j, a, b = corner_of(cell, u, v)
+            for di in range(2):
+                for dj in range(2):
+                    x, y = float(i + di) * cell, float(j + dj) * cell
+                    low = _skin_at(place[2], slope_u, slope_v, x - u, y - v, cell)
+                    low = low - level_at(relief, x, y)
+                    there = height_of_node(relief.state, size, i + di, j + dj)
+                    if low < there and _is_sand(relief, x, y):
+                        number = wp.int64(wp.float64(low) * wp.float64(_NANOMETRES))
+                        number = number * wp.int64(MOST_FEET) + wp.int64(each.foot)
+                        row, column = wrapped(i + di, size), wrapped(j + dj, size)
+                        wp.atomic_min(wanted, world, row, column, number)
+
+    return press
+
+
+@wp.kernel(enable_backward=False)
+def settle(
+    surface: PlainRelief,
+    task: wp.array(dtype=int),
+    places: wp.array2d(dtype=wp.vec3),
+    foot: wp.array3d(dtype=int),
+    wanted: wp.array3d(dtype=wp.int64),
+    waiting: wp.array2d(dtype=float),
+    volumes: wp.array2d(dtype=float),
+):
+    """Press nodes down to the requested heights; clear everything where a world restarts."""
+    world, lane = wp.tid()
+    if task[world] == IDLE:
+        return
+    relief = in_world(surface, world)
+    grid, cell, size = relief.state, relief.cell, relief.size
+    for n in range(lane, size * size, LANES):
+        row = n // size
+        column = n - row * size
+        number = wanted[world, row, column]
+        foot[world, row, column] = wp.where(foot[world, row, column] >= 0, LEFT, NOTHING)
+        if task[world] == BEGINS:
+            grid.height[world, row, column] = 0.0
+            grid.tile[world, row, column] = 0
+        if number == _UNWANTED:
+            continue
+        wanted[world, row, column] = _UNWANTED
+        # Integer modulo that rounds down for either sign.
+        f = int(((number % wp.int64(MOST_FEET)) + wp.int64(MOST_FEET)) % wp.int64(MOST_FEET))
+        low = float(
+            wp.float64((number - wp.int64(f)) // wp.int64(MOST_FEET)) / wp.float64(_NANOMETRES)
+        )
+        claim(relief, tile_beside(places[world, f], row, column, cell, size), row, column, volumes)
+        foot[world, row, column] = f
+        lowered = grid.height[world, row, column] - low - relief.slack
+        if lowered > LEAST * relief.slack:
+            grid.height[world, row, column] -= lowered
+            volume = cell * cell * lowered
+            wp.atomic_add(waiting, world, f, relief.bulking * volume)
+            wp.atomic_add(volumes, world, PRESSED, volume)
+
+
+@wp.func
+def share_of(volume: float, count: int, cell: float):
+    """Return the height of one of `count` equal parts of a volume [m], at most one cell."""
+    return wp.min(volume / (float(count) * cell * cell), cell)
+
+
+@wp.kernel(enable_backward=False)
+def edge(surface: PlainRelief, task: wp.array(dtype=int), foot: wp.array3d(dtype=int)):
+    """Find the track nodes that have sand beside them."""
+    world, lane = wp.tid()
+    if task[world] < PRESSES:
+        return
+    size = surface.size
+    for n in range(lane, size * size, LANES):
+        row = n // size
+        column = n - row * size
+        if foot[world, row, column] < 0:
+            continue
+        has_sand = int(0)
+        for di in range(-1, 2):
+            for dj in range(-1, 2):
+                if foot[world, wrapped(row + di, size), wrapped(column + dj, size)] == NOTHING:
+                    has_sand = int(1)
+        if has_sand == 1:
+            foot[world, row, column] += MOST_FEET
+
+
+@wp.kernel(enable_backward=False)
+def surround(
+    surface: PlainRelief,
+    task: wp.array(dtype=int),
+    places: wp.array2d(dtype=wp.vec3),
+    foot: wp.array3d(dtype=int),
+    waiting: wp.array2d(dtype=float),
+    count: wp.array2d(dtype=int),
+):
+    """Find the nodes within two cells of a track's edge; the nearest of several tracks counts."""
+    world, lane = wp.tid()
+    if task[world] < PRESSES:
+        return
+    relief = in_world(surface, world)
+    cell, size = relief.cell, relief.size
+    has_edge = _has_edges(relief)
+    for n in range(lane, size * size, LANES):
+        row = n // size
+        column = n - row * size
+        if foot[world, row, column] != NOTHING:
+            continue
+        nearest, found = int(9), int(NOTHING)
+        for di in range(-2, 3):
+            for dj in range(-2, 3):
+                f = foot[world, wrapped(row + di, size), wrapped(column + dj, size)] - MOST_FEET
+                far = di * di + dj * dj
+                if f >= 0 and (far < nearest or (far == nearest and f < found)):
+                    nearest = far
+                    found = f
+        if found < 0:
+            continue
+        if not (waiting[world, found] > 0.0):
+            continue
+        near = int(0)
+        for di in range(-2, 3):
+            for dj in range(-2, 3):
+                f = foot[world, wrapped(row + di, size), wrapped(column + dj, size)] - MOST_FEET
+                near += wp.where(f == found, 1, 0)
+        if has_edge:
+            tile = tile_beside(places[world, found], row, column, cell, size)
+            i, j = node_in(tile, row, column, size)
+            if not _is_sand(relief, float(i) * cell, float(j) * cell):
+                continue
+        foot[world, row, column] = BESIDE - (found * _NEAR + near)
+        wp.atomic_add(count, world, found, near)
+
+
+@wp.kernel(enable_backward=False)
+def heap(
+    surface: PlainRelief,
+    task: wp.array(dtype=int),
+    places: wp.array2d(dtype=wp.vec3),
+    foot: wp.array3d(dtype=int),
+    waiting: wp.array2d(dtype=float),
+    count: wp.array2d(dtype=int),
+    volumes: wp.array2d(dtype=float),
+):
+    """Deposit sand beside tracks."""
+    world, lane = wp.tid()
+    if task[world] < PRESSES:
+        return
+    relief = in_world(surface, world)
+    grid, cell, size = relief.state, relief.cell, relief.size
+    for n in range(lane, size * size, LANES):
+        row = n // size
+        column = n - row * size
+        code = BESIDE - foot[world, row, column]
+        if code < 0:
+            continue
+        f = code // _NEAR
+        claim(relief, tile_beside(places[world, f], row, column, cell, size), row, column, volumes)
+        share = share_of(waiting[world, f], count[world, f], cell)
+        grid.height[world, row, column] += float(code % _NEAR) * share
+
+
+@wp.kernel(enable_backward=False)
+def keep(
+    surface: PlainRelief,
+    task: wp.array(dtype=int),
+    waiting: wp.array2d(dtype=float),
+    count: wp.array2d(dtype=int),
+    volumes: wp.array2d(dtype=float),
+):
+    """Keep volume that did not fit beside a track for later steps."""
+    world, f = wp.tid()
+    if task[world] < PRESSES or count[world, f] == 0:
+        return
+    cell, found = surface.cell, count[world, f]
+    heaped = cell * cell * float(found) * share_of(waiting[world, f], found, cell)
+    waiting[world, f] -= heaped
+    wp.atomic_add(volumes, world, HEAPED, heaped)
+
+
+@functools.cache
+def flow_kernel(relief_struct: Any, level: Any) -> Any:
+    """Make the kernel for flow of sand on a kind of surface with a `level` (`relief.probe`)."""
+    level_at = translated(level)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def flow(
+        surface: relief_struct,
+        task: wp.array(dtype=int),
+        rate: wp.array(dtype=float),
+        foot: wp.array3d(dtype=int),
+        first_row: int,
+        first_column: int,
+        volumes: wp.array2d(dtype=float),
+    ):
+        """Level the steepest triangles of every other square along both axes.
+
+        Sand does not flow over stored heights that belong to another tile.
+        """
+        world, lane = wp.tid()
+        if task[world] != FLOWS:
+            return
+        relief = in_world(surface, world)
+        grid, cell, size = relief.state, relief.cell, relief.size
+        has_edge = _has_edges(relief)
+        up = wp.vec3(relief.along[2], relief.across[2], relief.normal[2])
+        flat_a, flat_b = -up[0] / up[2], -up[1] / up[2]
+        half = size // 2
+        for n in range(lane, half * half, LANES):
+            row, column = 2 * (n // half) + first_row, 2 * (n % half) + first_column
+            # The first node follows from which of the two moved.
+            i, j = int(0), int(0)
+            known = int(0)
+            for k in range(4):
+                di, dj = k // 2, k % 2
+                x, y = wrapped(row + di, size), wrapped(column + dj, size)
+                tile = grid.tile[world, x, y]
+                if known == 0 and tile != 0:
+                    i, j = node_in(tile, x, y, size)
+                    i = i - di
+                    j = j - dj
+                    known = int(1)
+            if known == 0:
+                continue
+            heights = wp.vec4()
+            for k in range(4):
+                di, dj = k // 2, k % 2
+                x, y = wrapped(row + di, size), wrapped(column + dj, size)
+                tile = grid.tile[world, x, y]
+                u, v = float(i + di) * cell, float(j + dj) * cell
+                height = (grid.height[world, x, y] + level_at(relief, u, v)) / cell
+                if (
+                    foot[world, x, y] >= 0
+                    or (tile != 0 and tile != tile_of(i + di, j + dj, size))
+                    or (has_edge and not _is_sand(relief, u, v))
+                ):
+                    height = wp.nan
+                heights[k] = height
+            steepest, corner = float(REST), int(-1)
+            for k in range(4):
+                di, dj = k // 2, k % 2
+                s, t = 1.0 - 2.0 * float(di), 1.0 - 2.0 * float(dj)
+                a = _slope_to(heights[k], heights[2 * (1 - di) + dj], s, flat_a)
+                b = _slope_to(heights[k], heights[2 * di + 1 - dj], t, flat_b)
+                excess = _excess_of(a, b, up, relief.repose)
+                if excess > steepest and not wp.isnan(heights[k]):
+                    steepest = excess
+                    corner = k
+            if corner < 0:
+                continue
+            di, dj = corner // 2, corner % 2
+            ahead, beside = 2 * (1 - di) + dj, 2 * di + 1 - dj
+            s, t = 1.0 - 2.0 * float(di), 1.0 - 2.0 * float(dj)
+            a = _slope_to(heights[corner], heights[ahead], s, flat_a)
+            b = _slope_to(heights[corner], heights[beside], t, flat_b)
+            s = wp.where(wp.isnan(heights[ahead]), 0.0, s)
+            t = wp.where(wp.isnan(heights[beside]), 0.0, t)
+            g, h = _gains_of(a, b, up, relief.repose, s, t, rate[world])
+            gained = wp.vec4()
+            gained[corner] = -g - h
+            gained[ahead] = g
+            gained[beside] = h
+            for k in range(4):
+                if gained[k] != 0.0:
+                    di, dj = k // 2, k % 2
+                    x, y = wrapped(row + di, size), wrapped(column + dj, size)
+                    claim(relief, tile_of(i + di, j + dj, size), x, y, volumes)
+                    grid.height[world, x, y] += cell * gained[k]
+
+    return flow

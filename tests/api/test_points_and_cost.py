@@ -15,7 +15,8 @@ from mjgranular.errors import CostWarning, PointsWarning
 from mjgranular.sand.advice import find_points
 from mjgranular.sand.cost import MANY, Cost
 from mjgranular.scheme import Explicit, Implicit
-from mjgranular.shape import budget, select_geoms
+from mjgranular.shape import select_geoms
+from mjgranular.shape.sizes import FACETS
 
 # As a humanoid's foot is made: a sole that is only drawn, with four spheres under it.
 FOOT = """
@@ -144,7 +145,7 @@ def test_sand_that_costs_much_says_what_would_help():
     assert len(sand.elements) > MANY
     lower = int(str(caught[0].message).partition("resolution=")[2].split()[0])
     helped = Sand(model, medium="quikrete_medium", resolution=lower)
-    assert 0.8 * budget.FACETS < len(helped.elements) < 1.1 * budget.FACETS
+    assert 0.8 * FACETS < len(helped.elements) < 1.1 * FACETS
 
 
 def test_explicit_sand_costs_less():

@@ -13,7 +13,7 @@ import pytest
 
 from mjgranular import Bed, GranularWarning, InputError, Sand, UnstableError
 from mjgranular.errors import warn_user
-from mjgranular.kernel.snapshot import Snapshot, save_snapshot
+from mjgranular.sand.guard import Snapshot, save_snapshot
 
 pytestmark = pytest.mark.filterwarnings("ignore::mjgranular.errors.FloorWarning")
 
@@ -273,7 +273,7 @@ def test_what_is_kept_is_the_state_of_mujoco(everything):
     excite(everything, data)
     for _ in range(20):
         sand.step(data)
-    assert Snapshot.of(everything, data).time is None
+    assert Snapshot(everything, data).time is None
     binding = sand._bindings[data]
     save_snapshot(binding.table)
     saved = state(everything, data)

@@ -25,7 +25,7 @@ from mjgranular.experiment.drop import Drop, run_drop
 from mjgranular.experiment.intrusion import Intrusion, run_intrusion
 from mjgranular.medium.file import read_medium
 from mjgranular.models import Link, model_path
-from mjgranular.relief.heights import heights_of
+from mjgranular.relief.memory import heights_of
 
 BLOCK = """
 <mujoco model="block">

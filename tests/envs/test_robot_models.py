@@ -10,7 +10,7 @@ import pytest
 from mjgranular import InputError, Sand
 from mjgranular.models import Hexapod, LiRobot, Worm
 from mjgranular.models.hexapod import LEGS
-from mjgranular.shape.meshes import mesh_corners
+from mjgranular.shape.patches import mesh_corners
 
 
 def posed(spec, qpos):

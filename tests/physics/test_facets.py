@@ -11,8 +11,8 @@ from scipy.special import elliprg
 
 from mjgranular import Explicit, GranularWarning, InputError, Rft2dLaw, Rft3dLaw, Sand, media
 from mjgranular.shape import facets_from_model
-from mjgranular.shape.budget import RESOLUTION
 from mjgranular.shape.facets import FINEST
+from mjgranular.shape.sizes import RESOLUTION
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore::mjgranular.errors.FloorWarning"),

@@ -12,7 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mjgranular import Explicit, Rft3dLaw, Sand, media
-from mjgranular.shape import budget, facets_from_model, patches
+from mjgranular.shape import facets_from_model, patches
+from mjgranular.shape.sizes import FACETS
 from mjgranular.shape.tessellation import Facets
 
 pytestmark = [
@@ -290,7 +291,7 @@ def test_many_meshes_share_the_facets_by_their_skins():
     model = model_of(*(lump(0, 8, (s, s, s)) for s in [*sizes, twin]), shift=1.0)
     geoms = range(model.ngeom)
     found = facets_from_model(model, geoms)
-    assert 0.6 * budget.FACETS < len(found) < 1.02 * budget.FACETS
+    assert 0.6 * FACETS < len(found) < 1.02 * FACETS
     counts = np.bincount(found["geom"])
     assert counts[0] == len(facets_from_model(model, [0]))
     assert counts[1] > counts[-2]
