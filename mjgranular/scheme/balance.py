@@ -21,8 +21,8 @@ import numpy as np
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.engine import actuator_damping, smooth_derivative
 from mjgranular.kernel.memory import scratch
-from mjgranular.kernel.motion import read_motion
-from mjgranular.kernel.vector import dot, read_vector, transposed, vector
+from mjgranular.kernel.motion import Motion, read_motion, write_motion
+from mjgranular.kernel.vector import cross, dot, norm, read_vector, transposed, vector
 from mjgranular.scheme.constraints import add_constraints
 from mjgranular.scheme.dense import add_scaled, clear, copy, inner
 from mjgranular.scheme.metric import add_metric
@@ -110,6 +110,54 @@ def find_motions(w, velocity):
         first = w.body_dofadr[b]
         for j in range(first, first + w.body_dofnum[b]):
             add_scaled(motion[b], velocity[j], cdof[j])
+
+
+@compiled
+def find_last_motions(w):
+    """Set the spatial velocities that the bodies had at the start of the last step.
+
+    Joint velocities v are those of now, which moved the last step; the columns c_j of `cdof` were
+    others. To third order in h
+
+        V(-h) = sum_j v_j (c_j - h c_j' + h^2 c_j'' / 2),   c' = V x c,   c'' = V' x c + V x c',
+
+    where V and V' = sum_j v_j c_j' are those of the body that the joint moves in.
+    """
+    motions, velocities, rates = w.motion, w.wrench, w.carried
+    clear(motions[0])
+    clear(velocities[0])
+    clear(rates[0])
+    for b in range(1, w.nbody):
+        parent, first = w.body_parentid[b], w.body_dofadr[b]
+        motion, velocity = read_motion(motions[parent], 0), read_motion(velocities[parent], 0)
+        rate = read_motion(rates[parent], 0)
+        base, base_rate, turned = velocity, rate, -1
+        for j in range(first, first + w.body_dofnum[b]):
+            axis, by_time, v = read_motion(w.cdof[j], 0), read_motion(w.cdof_dot[j], 0), w.qvel[j]
+            if w.dof_jntid[j] != turned:  # axes of one ball turn together
+                base, base_rate = velocity, rate
+            turned = w.dof_jntid[j] if norm(axis.angular) > 0.0 else -1
+            bend = sum_of(crossed(base_rate, axis), crossed(base, by_time), 1.0)
+            velocity, rate = sum_of(velocity, axis, v), sum_of(rate, by_time, v)
+            motion = sum_of(motion, axis, v)
+            motion = sum_of(motion, by_time, -w.h * v)
+            motion = sum_of(motion, bend, 0.5 * w.h * w.h * v)
+        write_motion(motions[b], 0, motion)
+        write_motion(velocities[b], 0, velocity)
+        write_motion(rates[b], 0, rate)
+
+
+@partial(compiled, inline=True)
+def sum_of(a, b, factor):
+    """Return a + factor b, of spatial velocities."""
+    return Motion(a.angular + factor * b.angular, a.linear + factor * b.linear)
+
+
+@partial(compiled, inline=True)
+def crossed(v, axis):
+    """Return v x axis, the rate of change of an axis that moves with the spatial velocity v."""
+    linear = cross(v.angular, axis.linear) + cross(v.linear, axis.angular)
+    return Motion(cross(v.angular, axis.angular), linear)
 
 
 @partial(compiled, inline=True)

@@ -24,6 +24,7 @@ from mjgranular.scheme.balance import (
 )
 from mjgranular.scheme.dense import clear
 from mjgranular.scheme.forces import (
+    FRESH,
     NEXT,
     add_kernel,
     damp_kernel,
@@ -114,6 +115,27 @@ def evaluate(table, w, task, eps, update, loose):
     error, of_losses = balance(w, update)
     add_stiffness(w)
     return error, max(mismatch, of_losses)
+
+
+@compiled
+def evaluate_last(table, w, eps):
+    """Set residual and Jacobian at `w.velocity`, with forces linearized at the motions in `w`.
+
+    With `find_last_motions` these are the last step's, and the multipliers too. Return the size of
+    the residual, the greatest mismatch and the greatest turn (`law.kernel`).
+    """
+    for b in range(w.nbody):
+        clear(w.wrench[b])
+        clear(w.stiffness[b])
+    mismatch = call_forces(table[LAW], table.ctypes.data, RESPOND, eps, FRESH, eps)
+    find_motions(w, w.velocity)
+    for b in range(w.nbody):
+        clear(w.wrench[b])
+    turn = call_forces(table[LAW], table.ctypes.data, FOLLOW, eps, NEXT, 0.0)
+    sum_wrenches(w)
+    error, of_losses = balance(w, FRESH)
+    add_stiffness(w)
+    return error, max(mismatch, of_losses), turn
 
 
 @compiled

@@ -33,8 +33,9 @@ from mjgranular.scheme.layout import (
 from mjgranular.scheme.sampling import sampling_kernel
 
 # Not literals: numba would compile a function for each of them.
-FRESH, NEXT, SAME = (np.int64(n) for n in (0, 1, 2))
-"""Origins of multipliers: the velocity itself, a Newton step to it, the stored ones."""
+FRESH, NEXT, SAME, LAST = (np.int64(n) for n in range(4))
+"""Origins of multipliers: the velocity itself, a Newton step to it, the stored ones, the last
+step."""
 
 # In effect no softness [m/s], except at zero speed. Chosen: far below any motion, far above the
 # square root of the smallest number.

@@ -14,8 +14,8 @@ from collections import namedtuple
 
 from mjgranular.kernel.compiled import compiled
 from mjgranular.scheme.dense import add_scaled, inner, solve
-from mjgranular.scheme.evaluation import RESPOND, evaluate, follow_all
-from mjgranular.scheme.forces import NEXT
+from mjgranular.scheme.evaluation import RESPOND, evaluate, evaluate_last, follow_all
+from mjgranular.scheme.forces import LAST, NEXT
 
 # Square of the difference between a multiplier and its velocity's: below the first the force counts
 # as the law's, below the second the residual is expected to decrease along a step. Chosen.
@@ -34,7 +34,8 @@ Search.__doc__ = """Options of one run of Newton's method.
 
 Attributes:
     update: of the multipliers at the beginning: `FRESH`, those of the velocity itself with the
-        softness `loose`; `SAME`, those that are there.
+        softness `loose`; `SAME`, those that are there; `LAST`, those of the motions in `w`, at
+        which forces are linearized.
     loose: see there [m/s].
     eps: softness [m/s].
     goal: residual to be reached.
@@ -59,7 +60,14 @@ def newton(table, w, search):
     Return the evaluations, and the residual, which is infinite while it is not meaningful.
     """
     velocity, change, eps = w.velocity, w.change, search.eps
-    error, mismatch = evaluate(table, w, RESPOND, eps, search.update, search.loose)
+    if search.update == LAST:
+        error, mismatch, turn = evaluate_last(table, w, eps)
+        if error <= search.goal:
+            if misfit(turn, mismatch) <= _MISFIT:
+                return 1, error
+            error = math.inf
+    else:
+        error, mismatch = evaluate(table, w, RESPOND, eps, search.update, search.loose)
     done = 1
     stuck = 0
     while (
