@@ -11,10 +11,10 @@ from __future__ import annotations
 import argparse
 import itertools
 import math
-from typing import Any
 
 import numpy as np
 
+from mjgranular.envs.gaits import gaits
 from mjgranular.errors import GranularError, InputError
 from mjgranular.learn import environments
 from mjgranular.learn.agents import make_gait
@@ -35,24 +35,24 @@ def main() -> None:
     try:
         arguments = parse_variant(options.on)
         env = environments.one(options.env, arguments)
-        gait: Any = make_gait(options.env, env, {}).scripts[0]
+        make_gait(options.env, env, {})  # raises without a scripted gait
+        bounds = {**gaits[type(env.unwrapped.task).__name__].bounds}
         env.close()
-        bounds = {**gait.gait.bounds}
         for name, _, ends in (text.partition("=") for text in options.range):
             bounds[name] = tuple(float(end) for end in ends.split(":"))
         levels = max(2, math.ceil(round(options.count ** (1 / len(bounds)), 9)))
         axes = [np.linspace(low, high, levels).tolist() for low, high in bounds.values()]
-        gaits = [dict(zip(bounds, point, strict=True)) for point in itertools.product(*axes)]
-        blocks = iter([gaits[first : first + AT_ONCE] for first in range(0, len(gaits), AT_ONCE)])
+        points = [dict(zip(bounds, point, strict=True)) for point in itertools.product(*axes)]
+        blocks = iter([points[first : first + AT_ONCE] for first in range(0, len(points), AT_ONCE)])
         agent = lambda env: make_gait(options.env, env, next(blocks))  # noqa: E731
-        found = run_episodes(options.env, arguments, agent, [SEED] * len(gaits))
+        found = run_episodes(options.env, arguments, agent, [SEED] * len(points))
         values = {"return": found.returns, **found.figures}
         if options.by not in values:
             raise InputError(f"no {options.by!r}; there are: {', '.join(values)}")
     except (GranularError, ValueError) as error:
         raise SystemExit(f"error: {error}") from None
     for k in np.argsort(values[options.by])[::-1][:5]:
-        words = ",".join(f"{name}={value:.3g}" for name, value in gaits[k].items())
+        words = ",".join(f"{name}={value:.3g}" for name, value in points[k].items())
         print(f"{options.by} {values[options.by][k]:.4g}: {words}")
 
 

@@ -140,6 +140,10 @@ class Impact:
             memory=self.memory,
         )
 
+    def sand(self, model: mujoco.MjModel) -> Sand:
+        """Return the sand, on the link's model."""
+        return Sand(model, self.described)
+
     def largest_step(self) -> float:
         """Return the largest time step for which the drag is sure not to overshoot [s].
 
@@ -292,7 +296,7 @@ class _Run:
         self.impact = impact
         self.link = impact.link
         self.model = self.link.model(impact.timestep)
-        self.sand = Sand(self.model, impact.described)
+        self.sand = impact.sand(self.model)
         self.data = mujoco.MjData(self.model)
         self.data.qpos[:] = self.link.touching(impact.angle)
         self.data.qpos[1] += impact.height

@@ -42,16 +42,24 @@ Frames = tuple[int, Iterator[np.ndarray]]
 
 @dataclass(frozen=True)
 class Film:
-    """Options of a film."""
+    """Options of a film.
 
-    camera: str = "side"  # name of a camera of the model
-    width: int = 640  # width of the picture [pixels]; even
-    height: int = 480  # height of the picture [pixels]; even
-    fps: float = 30  # frames per second
-    # Duration of the film of the impact, from release to the stop [s]; the rest of the run, if any,
-    # takes as long again
+    Attributes:
+        camera: name of a camera of the model.
+        width: width of the picture [pixels]; even.
+        height: height of the picture [pixels]; even.
+        fps: frames per second.
+        seconds: duration of the film of the impact, from release to the stop [s]; the rest of the
+            run, if any, takes as long again.
+        hold: duration of the last frame [s].
+    """
+
+    camera: str = "side"
+    width: int = 640
+    height: int = 480
+    fps: float = 30
     seconds: float = 5.0
-    hold: float = 1.0  # duration of the last frame [s]
+    hold: float = 1.0
 
     def __post_init__(self) -> None:
         for name, limit in (("width", 1920), ("height", 1080)):
