@@ -9,6 +9,8 @@ from typing import Literal
 import mujoco
 import numpy as np
 
+from mjgranular._util.checks import check_count, is_finite
+from mjgranular.errors import InputError
 from mjgranular.models.link import DARK, Link, add_servo, robot_scene
 
 
@@ -44,6 +46,15 @@ class Worm:
     torque: float = 1.0  # stall torque of a servo [N m]
     speed: float = 8.0  # no-load speed of a servo [rad/s]
     armature: float = 1e-4  # inertia of a servo's rotor, at the joint [kg m^2]
+
+    def __post_init__(self) -> None:
+        check_count("Worm: count", self.count)
+        if self.posture not in ("level", "upright"):
+            raise InputError(f"posture must be level or upright, got {self.posture!r}")
+        for name in ("length", "width", "density", "bend", "stiffness", "torque", "speed"):
+            value = getattr(self, name)
+            if not (is_finite(value) and value > 0):
+                raise InputError(f"the worm's {name} must be positive, got {value}")
 
     @property
     def step(self) -> float:

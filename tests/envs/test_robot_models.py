@@ -168,6 +168,15 @@ def test_the_robot_of_li_walks_ahead_at_a_constant_rate():
     assert 0.1 < data.qpos[0] / 2 < 0.2  # measured: 0.075 and 0.173 m/s at 0.47 and 1.2 Hz
 
 
-def test_a_curvature_that_cannot_be_is_named():
-    with pytest.raises(InputError, match=r"curvature must be from -1 to 1, got 1\.5"):
-        LiRobot(1.5)
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Worm(width=0.0), "the worm's width must be positive, got 0.0"),
+        (lambda: Worm(posture="curled"), "posture must be level or upright, got 'curled'"),
+        (lambda: Worm(0), "Worm: count"),
+        (lambda: LiRobot(1.5), "curvature must be from -1 to 1, got 1.5"),
+    ],
+)
+def test_sizes_that_cannot_be_are_named(make, message):
+    with pytest.raises(InputError, match=message):
+        make()
