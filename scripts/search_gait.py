@@ -39,7 +39,8 @@ def main() -> None:
         bounds = {**gaits[type(env.unwrapped.task).__name__].bounds}
         env.close()
         for name, _, ends in (text.partition("=") for text in options.range):
-            bounds[name] = tuple(float(end) for end in ends.split(":"))
+            low, _, high = ends.partition(":")
+            bounds[name] = float(low), float(high)
         levels = max(2, math.ceil(round(options.count ** (1 / len(bounds)), 9)))
         axes = [np.linspace(low, high, levels).tolist() for low, high in bounds.values()]
         points = [dict(zip(bounds, point, strict=True)) for point in itertools.product(*axes)]
