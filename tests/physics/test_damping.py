@@ -139,3 +139,21 @@ def test_a_robot_that_falls_and_lies_is_solved_in_each_step(robot):
     assert solver.steps > 2000
     assert solver.unfinished == 0
     assert solver.evaluations < 10 * solver.steps
+
+
+def test_a_trunk_that_leans_over_a_foot_costs_no_more_than_rest():
+    """The foot holds while the joints that place it turn: it starts from what it held before."""
+    model = mujoco.MjModel.from_xml_string(
+        """<mujoco><option timestep="0.002"/><worldbody><body pos="0 0 .6"><freejoint/>
+        <geom type="capsule" size=".05 .3" mass="2"/><body pos="0 0 -.5">
+        <joint axis="0 1 0" damping="1"/><geom type="box" size=".2 .2 .05" mass="5" pos="0 0 -.05"/>
+        </body></body></worldbody></mujoco>"""
+    )
+    sand, data = Sand(model), mujoco.MjData(model)
+    data.qvel[4] = 0.3
+    for _ in range(500):
+        sand.step(data)
+    assert data.qvel[4] > 0.4
+    solver = sand.report(data).solver
+    assert solver.unfinished == 0
+    assert solver.evaluations < 3 * solver.steps
