@@ -13,8 +13,12 @@ from hypothesis import strategies as st
 from numba import njit
 
 from mjgranular import Implicit, Sand
+from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.memory import WORKSPACE, table_at
 from mjgranular.kernel.vector import read_matrix, read_vector, write_vector
 from mjgranular.law.secant import secant
+from mjgranular.scheme.balance import find_last_motions
+from mjgranular.scheme.workspace import workspace_at
 
 ASSETS = Path(mujoco_env.__file__).parent / "assets"
 
@@ -157,3 +161,47 @@ def test_a_trunk_that_leans_over_a_foot_costs_no_more_than_rest():
     solver = sand.report(data).solver
     assert solver.unfinished == 0
     assert solver.evaluations < 3 * solver.steps
+
+
+TREE = """<mujoco><worldbody><body pos="0 0 .1"><freejoint/><geom size=".1"/>
+<body pos=".3 .1 0"><joint type="ball" pos=".05 0 .02"/><geom type="box" size=".1 .05 .02"/>
+<body pos=".2 0 0"><joint axis="1 1 0"/><joint axis="0 .3 1" pos="0 .1 0"/>
+<joint type="slide" axis="0 1 1"/><geom type="capsule" size=".03 .1"/></body></body></body>
+</worldbody></mujoco>"""
+
+
+@compiled
+def last_motions(address, found):
+    """Copy the motions of the last step from a simulation's workspace."""
+    w = workspace_at(table_at(address)[WORKSPACE])
+    find_last_motions(w)
+    for body in range(w.nbody):
+        for k in range(6):
+            found[body, k] = w.motion[body, k]
+
+
+def test_motions_of_the_last_step_are_known_to_third_order():
+    """Against MuJoCo's velocities in the configuration of that step."""
+    model, errors = mujoco.MjModel.from_xml_string(TREE), []
+    for timestep in (4e-3, 2e-3):
+        rng = np.random.default_rng(1)
+        then, now = mujoco.MjData(model), mujoco.MjData(model)
+        model.opt.timestep = timestep
+        mujoco.mj_integratePos(model, then.qpos, rng.normal(size=model.nv), 1.0)
+        now.qpos[:] = then.qpos
+        then.qvel[:] = now.qvel[:] = 2 * rng.normal(size=model.nv)
+        mujoco.mj_integratePos(model, now.qpos, now.qvel, timestep)
+        mujoco.mj_forward(model, then)
+        mujoco.mj_forward(model, now)
+        sand = Sand(model)
+        sand.apply(now)
+        found = np.zeros((model.nbody, 6))
+        last_motions(sand.table_of(now), found)
+        place = then.xpos[-1] + [0.1, 0.2, 0.3]
+        velocity, expected = (
+            motion[3:] + np.cross(motion[:3], place - data.subtree_com[1])
+            for motion, data in ((found[-1], now), (then.cvel[-1], then))
+        )
+        errors.append(np.linalg.norm(velocity - expected))
+    assert errors[1] < 1e-6
+    assert errors[0] == pytest.approx(8 * errors[1], rel=0.02)
