@@ -27,8 +27,8 @@ _ROBOTS = {
 _ACTIONS = 100
 _SETTLED = 2000  # steps without controls before a robot counts as settled
 _SANDS: dict[str, dict[str, Any]] = {
-    "sand, default resolution": {"law": "rft3d"},
-    "sand, resolution 4": {"law": "rft3d", "resolution": 4},
+    "sand, default resolution": {},
+    "sand, resolution 4": {"resolution": 4},
 }
 
 
@@ -104,7 +104,7 @@ def _cases(robot: str, make: Any) -> Sequence[Case]:
 GROUPS = tuple(
     Group(
         f"{robot}, {how}",
-        "Gymnasium's model as it is, with sand (`rft3d`, implicit, plugin) in place of its "
+        "Gymnasium's model as it is, with sand (the default law, implicit, plugin) in place of its "
         f"floor, {note}. Models that use RK4 take `implicitfast`, on the floor too.",
         lambda robot=robot, make=make: _cases(robot, make),
     )
