@@ -25,6 +25,7 @@ from mjgranular.scheme.balance import (
 from mjgranular.scheme.dense import clear
 from mjgranular.scheme.forces import (
     FRESH,
+    LAST,
     NEXT,
     add_kernel,
     damp_kernel,
@@ -74,8 +75,9 @@ def forces_program(kernel: LawKernel, law_dtype: np.dtype) -> Any:
         most = 0.0
         if task == FOLLOW:
             for i in range(w.count):
-                body = w.heads[i].body
-                most = max(most, follow(w.tiles[i], motion_of(w, body), w.wrench[body], eps))
+                body, stores = w.heads[i].body, update != LAST
+                turn = follow(w.tiles[i], motion_of(w, body), w.wrench[body], eps, stores)
+                most = max(most, turn)
         else:
             law, g = laws(table[SCENE], 1)[0], gravity_of(table)
             for i in range(w.count):
@@ -131,7 +133,7 @@ def evaluate_last(table, w, eps):
     find_motions(w, w.velocity)
     for b in range(w.nbody):
         clear(w.wrench[b])
-    turn = call_forces(table[LAW], table.ctypes.data, FOLLOW, eps, NEXT, 0.0)
+    turn = call_forces(table[LAW], table.ctypes.data, FOLLOW, eps, LAST, 0.0)
     sum_wrenches(w)
     error, of_losses = balance(w, FRESH)
     add_stiffness(w)

@@ -333,10 +333,10 @@ def add_row(stiffness, first, arm, row):
 
 @cache
 def follow_kernel(kernel: LawKernel) -> Any:
-    """Make the kernel `follow(tile, motion, wrench, eps)`.
+    """Make the kernel `follow(tile, motion, wrench, eps, stores)`.
 
     It extrapolates forces by the derivatives to the body's motion, adds them to those of the body,
-    and returns the greatest `turn`.
+    and returns the greatest `turn`. `stores` is whether the tile keeps these forces.
     """
     lanes, turn = kernel.lanes, kernel.multiplier.turn
     vectors, slopes, all_weights = rows(Vector, lanes), rows(Matrix, lanes), rows(float, lanes)
@@ -347,11 +347,12 @@ def follow_kernel(kernel: LawKernel) -> Any:
     is_near_kink = _no_kink if kernel.added is None else kink_kernel(kernel)
 
     @compiled
-    def follow(tile, motion, wrench, eps):
+    def follow(tile, motion, wrench, eps, stores):
         arm = read_all(tile, ARM * lanes)
         change = velocity_at(motion, arm) - read_all(tile, VELOCITY * lanes)
         force = read_all(tile, FORCE * lanes) - read_slopes(tile, SLOPE * lanes) @ change
-        write_all(tile, FORCE * lanes, force)
+        if stores:
+            write_all(tile, FORCE * lanes, force)
         force = read_weight(tile, WEIGHT * lanes) * force
         add_total(wrench, 0, cross(arm, force))
         add_total(wrench, 3, force)

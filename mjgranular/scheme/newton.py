@@ -64,7 +64,7 @@ def newton(table, w, search):
         error, mismatch, turn = evaluate_last(table, w, eps)
         if error <= search.goal:
             if misfit(turn, mismatch) <= _MISFIT:
-                return 1, error
+                return 1, follow_all(table, w, eps)[0]
             error = math.inf
     else:
         error, mismatch = evaluate(table, w, RESPOND, eps, search.update, search.loose)
