@@ -44,8 +44,8 @@ _AT_REST, _IN_MOTION = 1e-13, 1e-8
 _LOST = 1e-3
 _TURNED = 0.1  # square of the difference between a multiplier and its velocity's; chosen
 # Speed, relative to what the step would change without sand, below which all elements may hold.
-# Chosen: robots that stand take 2 to 4 evaluations a step; with 1e-3 up to 8 % more, with 1 robots
-# driven at random up to 10 % more.
+# Chosen: a smaller one takes more evaluations for robots that stand, a larger one for robots that
+# are driven at random.
 _SLOW = 0.1
 _BEGUN = 10.0  # largest ratio of the softness at the velocity found for which it is retried
 # Limits for Newton's method: from rest, in motion, with a softer rest and after damping; and for
