@@ -108,7 +108,7 @@ def _number(key: str, value: Any) -> float:
 
 def _text(key: str, value: Any) -> str:
     if not isinstance(value, str):
-        raise InputError(f"{key} must be a text, not {shown(value)}")
+        raise InputError(f"{key} must be a string, got {shown(value)}")
     return value
 
 
@@ -186,7 +186,7 @@ class _Reader:
                 raise _wrong(event, f"the alias {shown(event.anchor)} stands for no text before it")
             return self._texts[event.anchor]
         if event.tag is not None:
-            raise _wrong(event, f"the tag {shown(event.tag)} has no meaning here: leave it away")
+            raise _wrong(event, f"the tag {shown(event.tag)} has no meaning here: remove it")
         if isinstance(event, self._yaml.ScalarEvent):
             return self._text(event)
         if depth == _DEEPEST:
@@ -200,7 +200,7 @@ class _Reader:
         for event in self._inner():
             key = self._node(event, depth + 1)
             if not isinstance(key, str):
-                raise _wrong(event, f"a key must be a text, not {shown(key)}")
+                raise _wrong(event, f"a key must be a string, got {shown(key)}")
             if key in content:
                 raise _wrong(event, f"the key {shown(key)} stands twice")
             content[key] = self._node(next(self._events), depth + 1)
@@ -216,9 +216,11 @@ class _Reader:
     def _text(self, event: Any) -> Any:
         text = event.value
         if len(text) > _LONGEST_TEXT:
-            raise _wrong(event, f"a text of {len(text)} characters: at most {_LONGEST_TEXT} fit")
+            raise _wrong(
+                event, f"a string must have at most {_LONGEST_TEXT} characters, got {len(text)}"
+            )
         if not all(c.isprintable() or c.isspace() for c in text):
-            raise _wrong(event, "a text with a character that cannot be printed")
+            raise _wrong(event, "a string must have printable characters only")
         content = _WORDS.get(text, text) if event.implicit[0] else text
         if event.anchor is not None:
             self._texts[event.anchor] = content

@@ -123,6 +123,7 @@ def find_last_motions(w):
 
     where V and V' = sum_j v_j c_j' are those of the body that the joint moves in.
     """
+    # The last two are scratch: every evaluation of forces sets them.
     motions, velocities, rates = w.motion, w.wrench, w.carried
     clear(motions[0])
     clear(velocities[0])
