@@ -33,6 +33,8 @@ GROUNDS: dict[str, dict[str, Any]] = {
     "Quikrete medium sand": {},
     "close poppy seeds": {"medium": "poppy_seed_close"},
     "close glass beads of 3 mm": {"medium": "glass_beads_3mm_close"},
+    "sand of Yuma": {"medium": "yuma_sand"},
+    "sand of 29 Palms": {"medium": "twentynine_palms_sand"},
     "half the strength": drawn("strength", 0.5),
     "twice the strength": drawn("strength", 2.0),
     "slope of 10 degrees": drawn("slope", math.radians(10)),

@@ -22,7 +22,8 @@ from tensordict import TensorDict  # noqa: E402
 class RslVecEnv(VecEnv):
     """A `WarpVectorEnv` or `SandVectorEnv` for the runners of RSL-RL.
 
-    Observations are a `TensorDict` with one group, `"policy"`, in single precision. Finished
+    Observations are a `TensorDict` in single precision, with the group `"policy"` and, if the task
+    has them (`privileged=True`), what only a critic may know as the group `"privileged"`. Finished
     episodes restart at once; those that were truncated are in `extras["time_outs"]`.
 
     The environment must be made with `autoreset_mode="SameStep"` and `max_episode_steps`. `device`
@@ -44,11 +45,11 @@ class RslVecEnv(VecEnv):
         self.device = torch.device(device or "cpu")
         self.cfg = {"task": type(env.task).__name__, **env.task.options()}
         self.episode_length_buf = torch.zeros(self.num_envs, dtype=torch.long, device=self.device)
-        self._observations = self._seen(env.reset()[0])
+        self._observations = self._seen(*env.reset())
 
     def seed(self, seed: int) -> None:
         """Restart all episodes, from a seed."""
-        self._observations = self._seen(self.env.reset(seed=seed)[0])
+        self._observations = self._seen(*self.env.reset(seed=seed))
         self.episode_length_buf.zero_()
 
     def get_observations(self) -> TensorDict:
@@ -62,15 +63,21 @@ class RslVecEnv(VecEnv):
         space = self.env.single_action_space
         wanted = actions.detach().cpu().numpy().reshape(self.num_envs, *(space.shape or ()))
         wanted = np.clip(wanted, space.low, space.high)  # pyright: ignore[reportAttributeAccessIssue]
-        observations, rewards, terminated, truncated, _ = self.env.step(wanted)
+        observations, rewards, terminated, truncated, info = self.env.step(wanted)
         over = torch.as_tensor(terminated | truncated, device=self.device)
         self.episode_length_buf += 1
         self.episode_length_buf[over] = 0
-        self._observations = self._seen(observations)
+        self._observations = self._seen(observations, info)
         rewards = torch.as_tensor(rewards, dtype=torch.float32, device=self.device)
         late = torch.as_tensor(truncated & ~terminated, device=self.device)
         return self._observations, rewards, over, {"time_outs": late}
 
-    def _seen(self, observations: np.ndarray) -> TensorDict:
-        policy = torch.as_tensor(observations, dtype=torch.float32, device=self.device)
-        return TensorDict({"policy": policy}, batch_size=[self.num_envs], device=self.device)
+    def _seen(self, observations: np.ndarray, info: dict[str, Any]) -> TensorDict:
+        groups = {"policy": observations}
+        if "privileged" in info:
+            groups["privileged"] = info["privileged"]
+        tensors = {
+            name: torch.as_tensor(values, dtype=torch.float32, device=self.device)
+            for name, values in groups.items()
+        }
+        return TensorDict(tensors, batch_size=[self.num_envs], device=self.device)

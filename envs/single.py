@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from operator import attrgetter
 from typing import Any
 
 import gymnasium as gym
@@ -45,7 +46,7 @@ class SandEnv(gym.Env[np.ndarray, np.ndarray]):
         **options: Any,
     ) -> None:
         self.task = get_task(task, options)
-        # A separate model: with sampled sand, gravity differs between simulations.
+        # A separate model: numbers that are drawn, such as gravity, differ between simulations.
         self.model = self.task.model
         self.data = mujoco.MjData(self.model)
         self.metadata = {**self.metadata, "render_fps": round(1 / self.task.dt)}
@@ -89,7 +90,8 @@ class SandEnv(gym.Env[np.ndarray, np.ndarray]):
         self._episodes += 1
         start = task.begin(random, sample)
         mujoco.mj_resetData(model, data)
-        task.lay(sample, start, self._state, 0, data.plugin_state, model.opt.gravity)
+        numbers = {name: attrgetter(name)(model) for name in task.varied}
+        task.lay(sample, start, self._state, 0, data.plugin_state, numbers)
         mujoco.mj_forward(model, data)
         self._state.found.clear()
         if self.render_mode == "human":

@@ -257,6 +257,11 @@ class Task(SandSpec, ABC):
     # Called by an environment.
 
     @property
+    def varied(self) -> tuple[str, ...]:
+        """Names of the `MjModel` fields that differ between episodes."""
+        return () if self.randomise is None else ("opt.gravity",)
+
+    @property
     def bound(self) -> tuple[str, ...]:
         """Names of the `MjData` fields in a state."""
         always = ("qpos", "qvel", "sensordata")
@@ -307,17 +312,17 @@ class Task(SandSpec, ABC):
         state: State,
         row: int,
         plugin_state: np.ndarray,
-        gravity: np.ndarray,
+        numbers: Mapping[str, np.ndarray],
     ) -> None:
         """Apply a start and the sampled sand to the simulation with index `row` in a state.
 
-        Its plugin state and its gravity are written to.
+        Its plugin state and its `varied` fields, `numbers`, are written to.
         """
         state.qpos[row], state.qvel[row] = start.qpos, start.qvel
         if start.userdata is not None:
             state.userdata[row] = start.userdata
         if sample is not None:
-            strength = float(np.linalg.norm(self.gravity))
+            gravity, strength = numbers["opt.gravity"], float(np.linalg.norm(self.gravity))
             lay(sample, self.model, self.figures.sands, plugin_state, gravity, strength)
             state.active[row], state.slope[row] = sample.number, sample.slope
             state.strength[row], state.density[row] = sample.strength, sample.density

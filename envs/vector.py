@@ -91,8 +91,7 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._state = self.task.new_state({name: self.batch.bind(name) for name in self.task.bound})
         self._ctrl = self.batch.bind("ctrl")
         self._plugin_state = self.batch.bind("plugin_state")
-        drawn = self.task.randomise is not None
-        self._gravity = self.batch.expand("opt.gravity") if drawn else np.zeros((num_envs, 3))
+        self._numbers = {name: self.batch.expand(name) for name in self.task.varied}
         self._randoms: list[np.random.Generator | None] = [None] * num_envs
         self._seeds: list[int | None] = [None] * num_envs
         self._episodes = np.zeros(num_envs, int)
@@ -250,8 +249,8 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._over[ids] = False
         self.batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE.value)
         for number, sample, start in zip(ids, samples, starts, strict=True):
-            plugin_state, gravity = self._plugin_state[number], self._gravity[number]
-            task.lay(sample, start, state, number, plugin_state, gravity)
+            numbers = {name: values[number] for name, values in self._numbers.items()}
+            task.lay(sample, start, state, number, self._plugin_state[number], numbers)
         self.batch.forward(ids)
         state.found.clear()
 

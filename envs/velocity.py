@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -30,7 +30,10 @@ _STEP, _SLOPE, _ACTION = 0, slice(1, 3), slice(3, 15)
 _COMMANDS, _PUSHES = 7, 20  # at most, in an episode of 20 s
 _COMMAND = slice(15, 15 + 4 * _COMMANDS)
 _PUSH = slice(_COMMAND.stop, _COMMAND.stop + 7 * _PUSHES)
-_PAST = slice(_PUSH.stop, None)  # what was sensed in earlier steps, the last step first
+_STRENGTH, _DELAY = _PUSH.stop, _PUSH.stop + 1  # of the motors in this episode
+_LATE = 3  # the longest delay
+_TARGETS = slice(_DELAY + 1, _DELAY + 1 + 12 * _LATE)  # earlier ones, the last first
+_PAST = slice(_TARGETS.stop, None)  # what was sensed in earlier steps, the last step first
 _SENSED = 42  # observations before the command
 
 _COMMAND_TIME = (3.0, 8.0)  # of a command [s]; these and the next two as in mjlab
@@ -51,6 +54,7 @@ _LIFT = (0.5, -1.0)  # thigh and calf of a swinging leg [rad]
 _GAIN = 1.5  # strides over what would do without slip
 _PAIRS = np.array([1.0, -1.0, -1.0, 1.0])  # a trot: legs of one sign swing together
 _TILT = math.cos(math.radians(70))  # as in mjlab
+_OF_MOTORS = ("actuator_gainprm", "actuator_biasprm", "actuator_forcerange")
 
 
 class Motor(NamedTuple):
@@ -110,6 +114,18 @@ class Go1Velocity(Task):
     With `history=4`, 168 more: 0 to 41 of the last four steps, the latest first; zeros before the
     start.
 
+    With `privileged=True`, `info["privileged"]` has what no robot measures, for a critic:
+
+    | index | name | unit | range |
+    |---|---|---|---|
+    | 0 to 2 | velocity of the trunk, in its frame | m/s | any |
+    | 3 to 6 | heights of the soles over the untouched surface, as `LEGS` | m | any |
+    | 7 to 9 | force of the sand on the robot, in the world's frame | N | any |
+    | 10, 11 | drawn strength and density of the sand | 1 | `randomise` |
+    | 12 | drawn slope | rad | `randomise` |
+    | 13 | drawn strength of the motors | 1 | `motor_strength` |
+    | 14 | drawn delay of the targets, in steps | 1 | `delay` |
+
     ## Rewards
     The sum of these, each times the duration of a step, 0.02 s:
 
@@ -138,6 +154,10 @@ class Go1Velocity(Task):
     m/s along x and y, 0.4 m/s along z, 0.52 rad/s in roll and pitch and 0.78 rad/s in yaw.
     There are 7 commands and 20 pushes, enough for 20 s: in longer episodes the last command holds.
 
+    Torques of all motors, and their limits, are those of the data sheet times a factor that is
+    drawn from `motor_strength`. Targets of the motors come late by a number of steps of 0.02 s that
+    is drawn from `delay`, at most 3.
+
     ## Episode End
     Terminated when the trunk tilts by more than 70 degrees from the axis z, or meets the surface:
     its center is less than 0.06 m above it. Truncated after 1000 steps of 0.02 s.
@@ -145,9 +165,10 @@ class Go1Velocity(Task):
     ## Arguments
     `robot_file`, a name of MuJoCo Menagerie or a path of MJCF with the same joints and calves;
     `command_x=(-0.8, 0.8)`, `command_y=(-0.4, 0.4)`, `command_yaw=(-1, 1)`, `push_scale=1`,
-    `reset_noise_scale=0.05`, `history=0` earlier steps in the observation, the sizes of the weights
-    above, such as `linear_weight=3`, `frame_skip=4` substeps of 5 ms, and those of `Task`: the
-    medium, randomised sand and so on. The default resolution is 2.
+    `motor_strength=(1, 1)`, `delay=(0, 0)`, `reset_noise_scale=0.05`, `history=0` earlier steps in
+    the observation, `privileged=False`, the sizes of the weights above, such as `linear_weight=3`,
+    `frame_skip=4` substeps of 5 ms, and those of `Task`: the medium, randomised sand and so on. The
+    default resolution is 2.
 
     ## Version History
     v0: first.
@@ -173,8 +194,11 @@ class Go1Velocity(Task):
     command_y: tuple[float, float] = (-0.4, 0.4)
     command_yaw: tuple[float, float] = (-1.0, 1.0)
     push_scale: float = 1.0
+    motor_strength: tuple[float, float] = (1.0, 1.0)
+    delay: tuple[float, float] = (0, 0)
     reset_noise_scale: float = 0.05
     history: int = 0
+    privileged: bool = False
     linear_weight: float = 3.0
     angular_weight: float = 1.5
     upright_weight: float = 1.0
@@ -191,6 +215,15 @@ class Go1Velocity(Task):
         for name in ("command_x", "command_y", "command_yaw"):
             if not np.isfinite(getattr(self, name)).all():
                 raise InputError(f"{name} must be a range of finite numbers")
+        weakest, strongest = self.motor_strength
+        if not 0.0 < weakest <= strongest < math.inf:
+            raise InputError(
+                f"motor_strength must be a range of positive factors, not {self.motor_strength}"
+            )
+        if not all(steps in range(_LATE + 1) for steps in self.delay):
+            raise InputError(
+                f"delay must be a range of whole steps from 0 to {_LATE}, not {self.delay}"
+            )
 
     def robot(self) -> mujoco.MjSpec:
         path = robot_path(self.robot_file)
@@ -210,7 +243,7 @@ class Go1Velocity(Task):
         spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[50, 50, 1])
         spec.option.timestep = self.timestep
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-        spec.nuserdata = _PUSH.stop + _SENSED * self.history
+        spec.nuserdata = _PAST.start + _SENSED * self.history
         return spec
 
     @cached_property
@@ -270,10 +303,16 @@ class Go1Velocity(Task):
         qpos[7:] += random.uniform(-noise, noise, 12)
         qvel = np.zeros(18)
         qvel[6:] = random.uniform(-noise, noise, 12)
-        userdata = np.zeros(_PUSH.stop + _SENSED * self.history)
+        userdata = np.zeros(_PAST.start + _SENSED * self.history)
         userdata[_SLOPE] = 0.0, 1.0
         userdata[_COMMAND] = self._draw_commands(random).ravel()
         userdata[_PUSH] = self._draw_pushes(random).ravel()
+        # A range of one value draws nothing, so that seeds keep their meaning.
+        low, high = self.motor_strength
+        userdata[_STRENGTH] = random.uniform(low, high) if low < high else low
+        least, most = self.delay
+        userdata[_DELAY] = random.integers(least, most + 1) if least < most else least
+        userdata[_TARGETS] = np.tile(self._stance, _LATE)
         return Start(qpos, qvel, userdata)
 
     def begin(self, random: np.random.Generator, sample: Sample | None) -> Start:
@@ -282,6 +321,29 @@ class Go1Velocity(Task):
             assert start.userdata is not None
             start.userdata[_SLOPE] = math.sin(sample.slope), math.cos(sample.slope)
         return start
+
+    @property
+    def varied(self) -> tuple[str, ...]:
+        fixed = self.motor_strength == (1.0, 1.0)
+        return super().varied if fixed else (*super().varied, *_OF_MOTORS)
+
+    def lay(
+        self,
+        sample: Sample | None,
+        start: Start,
+        state: State,
+        row: int,
+        plugin_state: np.ndarray,
+        numbers: Mapping[str, np.ndarray],
+    ) -> None:
+        super().lay(sample, start, state, row, plugin_state, numbers)
+        for name in numbers.keys() & set(_OF_MOTORS):
+            numbers[name][:] = self._motors[name] * state.userdata[row, _STRENGTH]
+
+    @cached_property
+    def _motors(self) -> dict[str, np.ndarray]:
+        """What is proportional to the strength of the motors, as in the data sheet."""
+        return {name: getattr(self.model, name).copy() for name in _OF_MOTORS}
 
     def _draw_commands(self, random: np.random.Generator) -> np.ndarray:
         """Return steps at which commands begin, and commands; shape (_COMMANDS, 4)."""
@@ -318,7 +380,13 @@ class Go1Velocity(Task):
         state.userdata[:, _ACTION] = applied
         state.userdata[:, _STEP] += 1
         self._push(state)
-        return self._stance + self._trot(state) + applied
+        targets = self._stance + self._trot(state) + applied
+        if self.delay == (0, 0):
+            return targets
+        known = np.concatenate([targets, state.userdata[:, _TARGETS]], axis=1)
+        state.userdata[:, _TARGETS] = known[:, :-12]
+        late = state.userdata[:, _DELAY].astype(int)
+        return known.reshape(-1, _LATE + 1, 12)[np.arange(len(known)), late]
 
     def _push(self, state: State) -> None:
         pushes = state.userdata[:, _PUSH].reshape(-1, _PUSHES, 7)
@@ -390,7 +458,7 @@ class Go1Velocity(Task):
             stands[:, None], _POSE / 3, _POSE
         )
         speed = np.sqrt(np.square((feet - feet_before)[:, :, :2] / self.dt).sum(axis=2))
-        height = feet[:, :, 2] - self._radius - self._ground(state, feet)
+        height = self._heights(state)
         lift = _SWING * self._clock(state)[:, :1] * _PAIRS
         stray = np.where(lift > 0.0, height - lift, np.maximum(height, 0.0))
         change = state.userdata[:, _ACTION] - last
@@ -419,6 +487,15 @@ class Go1Velocity(Task):
         """Return velocities of the trunk in its own frame [m/s], shape (n, 3)."""
         return np.stack(_to_body(state.qpos, state.qvel[:, :3].T), axis=1)
 
+    def reset_info(self, state: State) -> dict[str, np.ndarray]:
+        info = super().reset_info(state)
+        if self.privileged:
+            drawn = (state.strength, state.density, state.slope)
+            motors = state.userdata[:, [_STRENGTH, _DELAY]]
+            known = (self.velocity(state), self._heights(state), info["sand/force"])
+            info["privileged"] = np.concatenate([*known, np.stack(drawn, axis=1), motors], axis=1)
+        return info
+
     def place(self, state: State) -> dict[str, np.ndarray]:
         return {
             "x_position": state.qpos[:, 0].copy(),
@@ -434,6 +511,14 @@ class Go1Velocity(Task):
             "velocity_error": error,
             "yaw_rate_error": np.abs(state.qvel[:, 5] - command[:, 2]),
         }
+
+    def _heights(self, state: State) -> np.ndarray:
+        """Return heights of the soles over the untouched surface [m], shape (n, 4)."""
+        return self.once(state, "heights", self._find_heights)
+
+    def _find_heights(self, state: State) -> np.ndarray:
+        feet = state.site_xpos.take(self._feet, axis=1)
+        return feet[:, :, 2] - self._radius - self._ground(state, feet)
 
     def _ground(self, state: State, points: np.ndarray) -> np.ndarray:
         """Return heights of the untouched surface under points of shape (n, k, 3) [m]."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from operator import attrgetter
 from typing import Any
 
 import mujoco
@@ -61,10 +62,8 @@ class Worlds:
                 raise InputError(f"MuJoCo Warp does not take the task's model: {error}") from None
             self._d = mjw.put_data(model, mujoco.MjData(model), nworld=count)
             self._sand.attach(self._m, self._d)
-            gravity = np.tile(np.array(model.opt.gravity, np.float32), (count, 1))
-            self._m.opt.gravity = wp.array(gravity, dtype=wp.vec3)
-        self._gravity = gravity.astype(float)
         self._rows = [model.body(name).id for name in self._sand.bodies]
+        self._numbers: dict[str, np.ndarray] = {}
         self._arrays: dict[str, np.ndarray] = {}
         for name in _INPUTS:
             self.bind(name)
@@ -86,10 +85,20 @@ class Worlds:
         return self._arrays[name]
 
     def expand(self, name: str) -> np.ndarray:
-        """Return an option of the model for each world."""
-        if name != "opt.gravity":
-            raise InputError(f"MuJoCo Warp has no {name} for each world: step this task without it")
-        return self._gravity
+        """Return a field of `mjModel` for each world, shape (n, ...)."""
+        if name not in self._numbers:
+            *owner, field = name.split(".")
+            place = attrgetter(*owner)(self._m) if owner else self._m
+            if not isinstance(getattr(place, field, None), wp.array):
+                raise InputError(
+                    f"MuJoCo Warp has no {name} for each world: step this task without it"
+                )
+            value = np.array(attrgetter(name)(self._full), float)
+            self._numbers[name] = np.tile(value, (self._count,) + (1,) * value.ndim)
+            old = getattr(place, field)
+            values = self._numbers[name].astype(np.float32)
+            setattr(place, field, wp.array(values, dtype=old.dtype, device=old.device))
+        return self._numbers[name]
 
     def step(self, ids: np.ndarray | None = None, nstep: int = 1) -> None:
         """Step all worlds; reset those that are not in `ids` before reading them."""
@@ -117,7 +126,7 @@ class Worlds:
             value[ids] = getattr(data, name) if value.size else 0.0
 
     def forward(self, ids: np.ndarray) -> None:
-        """Write the state of worlds, their sand and gravity, and compute the derived quantities."""
+        """Write worlds' state, sand and numbers, and compute the derived quantities."""
         self._write(_INPUTS)
         for name in ("qacc_warmstart", "act", "time"):
             field = getattr(self._d, name)
@@ -130,7 +139,8 @@ class Worlds:
             self._sand.strength.assign(state[:, STRENGTH])
             self._sand.density.assign(state[:, DENSITY])
             self._sand.height.assign(state[:, HEIGHT])
-            self._m.opt.gravity.assign(self._gravity.astype(np.float32))
+        for name, values in self._numbers.items():
+            attrgetter(name)(self._m).assign(values.astype(np.float32))
         mjw.forward(self._m, self._d)
         self._read(ids)
 
@@ -139,8 +149,9 @@ class Worlds:
         return self._sand.volumes()
 
     def get_model(self, number: int) -> mujoco.MjModel:
-        """Return the task's model, with the gravity of a world."""
-        self._full.opt.gravity[:] = self._gravity[number]
+        """Return the task's model, with the numbers of a world."""
+        for name, values in self._numbers.items():
+            attrgetter(name)(self._full)[:] = values[number]
         return self._full
 
     def get_data(self, number: int) -> mujoco.MjData:

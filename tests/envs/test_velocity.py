@@ -287,3 +287,57 @@ def test_targets_follow_from_the_state_where_a_command_changes():
     state.found.clear()
     assert np.array_equal(env.task.act(ZERO[None], state), first)
     assert np.array_equal(first[0], env.task._stance)
+
+
+def test_motors_are_drawn_in_strength_and_delay():
+    drawn = {"motor_strength": (0.7, 1.3), "delay": (0, 2), "privileged": True}
+    batch = SandVectorEnv("Go1Velocity", 3, **drawn)
+    singles = [SandEnv("Go1Velocity", **drawn) for _ in range(3)]
+    observations, info = batch.reset(seed=4)
+    rng = np.random.default_rng(0)
+    for number, env in enumerate(singles):
+        observation, alone = env.reset(seed=4 + number)
+        np.testing.assert_array_equal(observation, observations[number])
+        np.testing.assert_array_equal(alone["privileged"], info["privileged"][number])
+    strength, delay = info["privileged"][:, 13], info["privileged"][:, 14]
+    assert len(set(strength)) == 3
+    assert ((strength > 0.7) & (strength < 1.3)).all()
+    assert set(delay) <= {0.0, 1.0, 2.0}
+    for _ in range(4):
+        actions = rng.uniform(-0.3, 0.3, (3, 12)).astype(np.float32)
+        observations, _, _, _, info = batch.step(actions)
+        for number, env in enumerate(singles):
+            observation, _, _, _, alone = env.step(actions[number])
+            np.testing.assert_array_equal(observation, observations[number])
+            np.testing.assert_array_equal(alone["privileged"], info["privileged"][number])
+    for number, env in enumerate(singles):
+        full = env.task._motors["actuator_gainprm"][0, 0]
+        assert env.model.actuator_gainprm[0, 0] == pytest.approx(full * strength[number])
+
+
+def test_a_delay_gives_the_targets_of_an_earlier_step():
+    late, punctual = (SandEnv("Go1Velocity", delay=(steps, steps), **STILL) for steps in (2, 0))
+    late.reset(seed=0)
+    punctual.reset(seed=0)
+    wanted = []
+    for step in range(5):
+        action = np.full(12, 0.01 * step, np.float32)
+        late.step(action)
+        punctual.step(action)
+        wanted.append(punctual.data.ctrl.copy())
+        before = late.task._stance if step < 2 else wanted[step - 2]
+        np.testing.assert_allclose(late.data.ctrl, before, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"motor_strength": (0.0, 1.0)}, "positive factors"),
+        ({"delay": (0, 9)}, "whole steps from 0 to 3"),
+        ({"delay": (0, 0.5)}, "whole steps"),
+        ({"motor_strength": 1.0}, "range"),
+    ],
+)
+def test_motors_that_cannot_be_are_refused(options, message):
+    with pytest.raises(InputError, match=message):
+        Go1Velocity(**options)

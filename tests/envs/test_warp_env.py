@@ -128,8 +128,8 @@ def test_what_has_no_place_is_said(warp_env):
         )
     with pytest.raises(InputError, match="device"):
         warp_env("Hopper", 2, device="gpu7")
-    with pytest.raises(InputError, match=r"no opt\.timestep for each world"):
-        warp_env("Hopper", 2, device="cpu").batch.expand("opt.timestep")
+    with pytest.raises(InputError, match=r"no opt\.integrator for each world"):
+        warp_env("Hopper", 2, device="cpu").batch.expand("opt.integrator")
 
     @dataclass(frozen=True, kw_only=True)
     class WithoutSlip(Hopper):
@@ -140,3 +140,20 @@ def test_what_has_no_place_is_said(warp_env):
 
     with pytest.raises(InputError, match="does not take the task's model: noslip"):
         warp_env(WithoutSlip(), 2)
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of packages that RSL-RL imports
+def test_each_world_has_its_motors_and_a_critic_knows_them(robots, warp_env):
+    pytest.importorskip("rsl_rl.env")
+    from mjgranular.envs.rsl import RslVecEnv
+
+    drawn = {"motor_strength": (0.5, 1.0), "privileged": True}
+    worlds = warp_env("Go1Velocity", 3, max_episode_steps=20, autoreset_mode="SameStep", **drawn)
+    env = RslVecEnv(worlds)
+    env.seed(1)
+    privileged = env.get_observations()["privileged"].numpy()
+    assert privileged.shape == (3, 15)
+    full = worlds.task.model.actuator_gainprm[:, 0]
+    on_device = worlds.batch._m.actuator_gainprm.numpy()[:, :, 0]
+    np.testing.assert_allclose(on_device, privileged[:, 13:14] * full, rtol=1e-6)
+    assert len(set(privileged[:, 13])) == 3
