@@ -54,6 +54,17 @@ hypothesis.settings.register_profile("mjgranular", derandomize=True, deadline=No
 hypothesis.settings.load_profile("mjgranular")
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    """Keep the order of files, which pytest-xdist would sort by their number of tests."""
+    config.option.loadscopereorder = False
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with files of slow tests: no worker has to wait for one of them at the end."""
+    slow = {item.path for item in items if item.get_closest_marker("slow")}
+    items.sort(key=lambda item: item.path not in slow)
+
+
 # Modules that users of the pages and of the tests have beside them.
 OWN_MODULES = ("my_quad", "my_helper", "quad")
 
