@@ -1,7 +1,5 @@
 """Metrics of the sand, read from sensors: the same for one simulation and for many."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """Sand in place of a model's floor, with sensors for environments."""
 
-from __future__ import annotations
-
 import math
 import warnings
 from collections.abc import Iterator, Sequence

@@ -1,7 +1,5 @@
 """Gymnasium's robots as tasks: Hopper, Walker2d, HalfCheetah, Swimmer, Ant, Humanoid."""
 
-from __future__ import annotations
-
 import inspect
 import math
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Ids for `gymnasium.make`."""
 
-from __future__ import annotations
-
 import gymnasium as gym
 
 from mjgranular._util.checks import kind_of

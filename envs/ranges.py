@@ -1,12 +1,10 @@
 """Sand that is sampled at every reset."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from numbers import Real
-from typing import Any
+from typing import Any, Self
 
 import mujoco
 import numpy as np
@@ -84,7 +82,7 @@ class SandRanges:
             object.__setattr__(self, name, tuple(names))
 
     @classmethod
-    def of(cls, table: Mapping[str, Any]) -> SandRanges:
+    def of(cls, table: Mapping[str, Any]) -> Self:
         """Return ranges from a table by the names of the fields, as in TOML or YAML."""
         known = [field.name for field in fields(cls)]
         for name in table:
@@ -92,7 +90,7 @@ class SandRanges:
                 raise UnknownNameError("range of randomise", name, known)
         return cls(**table)
 
-    def check_within(self, other: SandRanges, origin: str) -> None:
+    def check_within(self, other: "SandRanges", origin: str) -> None:
         """Check that a curriculum or a reset names only sand that the model has."""
         for key in _NAMED:
             there = getattr(other, key)

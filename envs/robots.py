@@ -1,7 +1,5 @@
 """Gymnasium's robots on sand."""
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Callable
 from functools import cache, partial
@@ -110,7 +108,7 @@ def make_robot(environment: str | type, sand: dict[str, Any], **options: Any) ->
 
 
 @cache  # by class: a module that is imported again has another class of the same name
-def _sandy(base: Any, environment: str | type) -> type[OnSand]:
+def _sandy(base: Any, environment: str | type) -> "type[OnSand]":
     return type(f"{base.__name__}OnSand", (OnSand, base), {"environment": environment})
 
 

@@ -1,7 +1,5 @@
 """One simulation of a task, as a Gymnasium environment."""
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any
 

@@ -8,8 +8,6 @@ To achieve this, a task sums only along the last axis, of row-major arrays, and 
 that NumPy computes differently for short and long arrays.
 """
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence

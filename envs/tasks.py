@@ -1,7 +1,5 @@
 """Tasks by name."""
 
-from __future__ import annotations
-
 from dataclasses import fields
 from typing import Any
 

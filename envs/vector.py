@@ -1,7 +1,5 @@
 """Many simulations of a task, in threads or in MuJoCo Warp, as Gymnasium vector environments."""
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Export policies to ONNX, for robots and other simulators."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

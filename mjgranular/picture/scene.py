@@ -1,10 +1,8 @@
 """Views, sand and arrows in the scene of a film."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import mujoco
 import numpy as np
@@ -31,7 +29,7 @@ class View:
     radius: float
 
     @classmethod
-    def of(cls, model: mujoco.MjModel, data: mujoco.MjData, qpos: np.ndarray) -> View:
+    def of(cls, model: mujoco.MjModel, data: mujoco.MjData, qpos: np.ndarray) -> Self:
         """Return the view of a run through these positions, shape (n, nq); `data` is changed."""
         geoms = moving_geoms(model)
         low, high = np.full(3, np.inf), np.full(3, -np.inf)

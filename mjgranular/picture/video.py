@@ -1,7 +1,5 @@
 """Films of a run in slow motion, with the force of the sand as an arrow."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

@@ -3,11 +3,9 @@
 Drawings are added to scenes, not to the model, which keeps its bodies and geoms and their order.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import mujoco
 import numpy as np
@@ -84,7 +82,7 @@ class SandMaterial:
     @classmethod
     def of(
         cls, model: mujoco.MjModel, normal: np.ndarray, offset: float, radius: float
-    ) -> SandMaterial | None:
+    ) -> Self | None:
         """Return how the plane of the points p with normal @ p = offset is drawn under a model.
 
         The normal is upward. A ball of that radius [m] around what moves sets the size of visible

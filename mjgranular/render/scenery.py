@@ -1,7 +1,5 @@
 """Daylight, sky and sand for a model."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 

@@ -7,8 +7,6 @@ under the rectangles, so that MuJoCo, which computes normals from triangles, com
 its edge as inside.
 """
 
-from __future__ import annotations
-
 import math
 from functools import cache, partial
 from typing import Any

@@ -1,7 +1,5 @@
 """Sand with tracks in a scene that Python draws; the plugin draws it in compiled code."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,10 +1,9 @@
 """Record of a sand's memory over a run, for a video."""
 
-from __future__ import annotations
-
 import zipfile
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Self
 
 import mujoco
 import numpy as np
@@ -61,7 +60,7 @@ class Tracks:
         return {f"prints_{name}": value for name, value in vars(self).items()}
 
     @classmethod
-    def from_arrays(cls, arrays: dict[str, np.ndarray]) -> Tracks:
+    def from_arrays(cls, arrays: dict[str, np.ndarray]) -> Self:
         """Restore the tracks that `arrays` returned."""
         found = cls(*(arrays[name] for name in cls.names()))
         t, end, node, height = found.t, found.end, found.node, found.height
