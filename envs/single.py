@@ -8,8 +8,7 @@ import mujoco
 import numpy as np
 
 from mjgranular.envs.cameras import RENDER_MODES, Cameras
-from mjgranular.envs.task import Task, check_actions
-from mjgranular.envs.tasks import get_task
+from mjgranular.envs.task import Task, check_actions, get_task
 
 
 class SandEnv(gym.Env[np.ndarray, np.ndarray]):

@@ -24,6 +24,7 @@ from gymnasium.spaces import Box
 
 from mjgranular import HeightField, InputError, Medium, Plane, SandSpec
 from mjgranular._util.checks import check_count, check_switch
+from mjgranular._util.registry import Registry
 from mjgranular.envs.dunes import DUNES, Dunes, add_dunes
 from mjgranular.envs.figures import Figures
 from mjgranular.envs.ground import put_on_sand
@@ -366,6 +367,24 @@ class Task(SandSpec, ABC):
 
     def __reduce__(self) -> tuple[Any, ...]:
         return partial(type(self), **self.options()), ()  # its model is built again
+
+
+tasks: Registry[type[Task]] = Registry("environment")
+"""Tasks by the names in their ids: `ChainSwim` for `mjgranular/ChainSwim-v0`."""
+
+
+def get_task(task: str | Task, options: dict[str, Any]) -> Task:
+    """Return a task from its name and its options."""
+    if isinstance(task, Task):
+        if options:
+            raise InputError(f"a task has its options already: {', '.join(options)}")
+        return task
+    cls = tasks[task]
+    known = [item.name for item in fields(cls)]
+    for name in options:
+        if name not in known:
+            raise InputError(f"{task} has no option {name!r}; it has: {', '.join(known)}")
+    return cls(**options)
 
 
 def check_actions(actions: Any, shape: tuple[int, ...] | None) -> np.ndarray:
