@@ -108,7 +108,7 @@ def _cut_open(model: mujoco.MjModel) -> tuple[Region, float]:
     bed.group = NOT_SHOWN
     low, high = bed.pos - bed.size, bed.pos + bed.size
     grains = 2 / float(model.mat_texrepeat[bed.matid.item(), 0])  # of a box MuJoCo has half sizes
-    return Region((low[0], low[1]), (high[0], high[1]), low[2]), grains
+    return (low[:2], high[:2], low[2]), grains
 
 
 def make_renderer(model: mujoco.MjModel, width: int, height: int) -> Any:

@@ -1,6 +1,5 @@
 """Sand with tracks in a scene that Python draws; the plugin draws it in compiled code."""
 
-from dataclasses import dataclass
 from typing import Any
 
 import mujoco
@@ -18,16 +17,9 @@ SIGNATURE = "int64(int64, float64)"
 """Signature of the program that fits a skin to the sand."""
 
 
-@dataclass(frozen=True)
-class Region:
-    """A rectangle of sand along the axes of the plane under the heights [m].
-
-    Its walls reach down to `bottom`, over the plane; 0 for none.
-    """
-
-    low: tuple[float, float]
-    high: tuple[float, float]
-    bottom: float = 0.0
+Region = tuple[np.ndarray, np.ndarray, float]
+"""A rectangle of sand along the axes of the plane under the heights: its lowest and highest corner,
+and the lower edge of its walls, over the plane; 0 for none [m]."""
 
 
 def make_canvas(
@@ -35,19 +27,19 @@ def make_canvas(
 ) -> np.ndarray:
     """Return the description of a drawing, `CANVAS_DTYPE` without addresses, shape (1,)."""
     if region is None and np.isfinite(record["half_along"][0]):
-        half = float(record["half_along"][0]), float(record["half_across"][0])
+        half = np.array([record["half_along"][0], record["half_across"][0]])
         names = record["base"].dtype.names or ()
         thick = float(record["base"]["thickness"][0]) if "thickness" in names else 0.0
-        region = Region((-half[0], -half[1]), half, -thick)
+        region = -half, half, -thick
     lines = lines_of(memory)
     canvas = np.zeros(1, CANVAS_DTYPE)
     canvas["lines"], canvas["vertex_count"] = lines, vertex_count(lines)
     canvas["stride"] = stride_of(memory)
     canvas["room"], canvas["unit"] = room_for(lines), unit
     if region is not None:
-        low, high = np.array(region.low), np.array(region.high)
+        low, high, bottom = region
         canvas["bounded"], canvas["low"], canvas["high"] = 1, low, high
-        canvas["bottom"], canvas["middle"] = region.bottom, (low + high) / 2
+        canvas["bottom"], canvas["middle"] = bottom, (low + high) / 2
         canvas["held"] = (high - low).max() < (lines - 4 * BLOCK) * stride_of(memory) * memory.cell
     return canvas
 
