@@ -11,6 +11,7 @@ import numpy as np
 
 from mjgranular._util.checks import kind_of
 from mjgranular.engine import tune
+from mjgranular.envs.figures import Figures
 from mjgranular.errors import InputError, UnknownNameError
 from mjgranular.law import laws
 from mjgranular.medium import get_medium, media
@@ -183,20 +184,16 @@ def draw(
 def lay(
     sample: Sample,
     model: mujoco.MjModel,
-    sands: Sequence[str],
+    figures: Figures,
     plugin_state: np.ndarray,
     gravity: np.ndarray,
-    strength: float,
 ) -> None:
-    """Apply the sampled sand to a simulation: write to its plugin state and its gravity.
-
-    `sands` are the names of the instances of sand in the model; `strength` is the magnitude of
-    gravity [m/s^2].
-    """
+    """Apply the sampled sand to a simulation: write to its plugin state and its gravity."""
     factors = {"strength": sample.strength, "density": sample.density}
-    for number, name in enumerate(sands):
+    for number, name in enumerate(figures.sands):
         tune(model, plugin_state, name, active=float(number == sample.number), **factors)
-    gravity[:] = -strength * math.sin(sample.slope), 0.0, -strength * math.cos(sample.slope)
+    strength, slope = figures.gravity, sample.slope
+    gravity[:] = -strength * math.sin(slope), 0.0, -strength * math.cos(slope)
 
 
 def next_ranges(

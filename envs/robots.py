@@ -155,7 +155,6 @@ class OnSand(MujocoEnv):
         screen.offheight = max(screen.offheight, self.height)
         self._readings = SandReadings(model, sands_in(model))
         self._figures = Figures(model, self.sands, self._readings)
-        self._strength = float(np.linalg.norm(model.opt.gravity))
         with converted_errors():
             return model, mujoco.MjData(model)
 
@@ -169,7 +168,7 @@ class OnSand(MujocoEnv):
             ranges = next_ranges(self._ranges, self._curriculum, self._episodes)
             self._drawn = draw(ranges, self._choices, self.np_random)
             state, gravity = self.data.plugin_state, self.model.opt.gravity
-            lay(self._drawn, self.model, self._figures.sands, state, gravity, self._strength)
+            lay(self._drawn, self.model, self._figures, state, gravity)
         self._episodes += 1
         return super().reset_model()
 

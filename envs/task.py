@@ -190,27 +190,23 @@ class Task(SandSpec, ABC):
     # Built from it, once.
 
     @cached_property
-    def _sands(self) -> tuple[list[SandSpec], list[Choice]]:
-        return sands_of(self.randomise, self, HeightField(DUNES))
-
-    @property
     def sands(self) -> Sequence[SandSpec]:
         """The sands of the model, as specified."""
-        return self._sands[0]
-
-    @property
-    def choices(self) -> Sequence[Choice]:
-        """The sands in the model, by names."""
-        return self._sands[1]
+        return sands_of(self.randomise, self, HeightField(DUNES))[0]
 
     @cached_property
-    def _built(self) -> tuple[mujoco.MjModel, Figures, np.ndarray]:
-        """The model and data read from it before its gravity is tilted."""
+    def choices(self) -> Sequence[Choice]:
+        """The sands in the model, by names."""
+        return sands_of(self.randomise, self, HeightField(DUNES))[1]
+
+    @cached_property
+    def _built(self) -> tuple[mujoco.MjModel, Figures]:
+        """The model and the reader, which is made before gravity is tilted."""
         spec, drawn = self.scene(), self.randomise is not None
         model = put_on_sand(
             spec, self.sands, rigid=self.rigid, tunable=drawn, cut=self.cut, tile=self.tile
         )
-        return model, Figures(model, self.sands), np.array(model.opt.gravity)
+        return model, Figures(model, self.sands)
 
     def scene(self) -> mujoco.MjSpec:
         """Return the robot, with dunes if sampled, before sand replaces the floor."""
@@ -228,11 +224,6 @@ class Task(SandSpec, ABC):
     def figures(self) -> Figures:
         """Reader of the sand's metrics."""
         return self._built[1]
-
-    @property
-    def gravity(self) -> np.ndarray:
-        """Gravity on level ground [m/s^2], shape (3,)."""
-        return self._built[2]
 
     @cached_property
     def dt(self) -> float:
@@ -316,8 +307,7 @@ class Task(SandSpec, ABC):
         if start.userdata is not None:
             state.userdata[row] = start.userdata
         if sample is not None:
-            strength = float(np.linalg.norm(self.gravity))
-            lay(sample, self.model, self.figures.sands, plugin_state, gravity, strength)
+            lay(sample, self.model, self.figures, plugin_state, gravity)
             state.active[row], state.slope[row] = sample.number, sample.slope
             state.strength[row], state.density[row] = sample.strength, sample.density
 

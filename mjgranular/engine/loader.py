@@ -39,7 +39,7 @@ from mjgranular.relief.relief import Relief
 from mjgranular.render.material import NOT_SHOWN, TILE, TILES, SandMaterial, radius_of
 from mjgranular.render.skin import skin_of
 from mjgranular.render.track_kernel import shape_of
-from mjgranular.render.track_mesh import SIGNATURE, make_canvas, room_of
+from mjgranular.render.track_mesh import SIGNATURE, make_canvas
 from mjgranular.sand.prepare import PreparedSand, prepare
 from mjgranular.scheme import Auto, schemes
 from mjgranular.shape.select import names_in
@@ -356,7 +356,6 @@ def _drawing(
         return found, ()
     record = sand.scene["surface"]
     unit = 2 * radius_of(model) if isinstance(surface, Plane) else TILE
-    canvas = make_canvas(record, sand.surface.memory, unit)
     material = int(model.skin_matid[skin])
     role = int(mujoco.mjtTextureRole.mjTEXROLE_RGB)
     fields = record.dtype.fields
@@ -377,4 +376,4 @@ def _drawing(
     if isinstance(surface, HeightField):
         geom = surface.geoms(model)[0]
         found |= {"ground": geom, "ground_data": model.geom_dataid[geom]}
-    return found, (canvas, *room_of(canvas))
+    return found, make_canvas(record, sand.surface.memory, unit)

@@ -24,8 +24,11 @@ and the lower edge of its walls, over the plane; 0 for none [m]."""
 
 def make_canvas(
     record: np.ndarray, memory: Memory, unit: float, region: Region | None = None
-) -> np.ndarray:
-    """Return the description of a drawing, `CANVAS_DTYPE` without addresses, shape (1,)."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the description of a drawing, `CANVAS_DTYPE` of shape (1,), its blocks and rectangles.
+
+    The addresses of surface and vertices are missing.
+    """
     if region is None and np.isfinite(record["half_along"][0]):
         half = np.array([record["half_along"][0], record["half_across"][0]])
         names = record["base"].dtype.names or ()
@@ -41,15 +44,9 @@ def make_canvas(
         canvas["bounded"], canvas["low"], canvas["high"] = 1, low, high
         canvas["bottom"], canvas["middle"] = bottom, (low + high) / 2
         canvas["held"] = (high - low).max() < (lines - 4 * BLOCK) * stride_of(memory) * memory.cell
-    return canvas
-
-
-def room_of(canvas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Allocate the blocks and rectangles of a canvas, and write their addresses to it."""
-    side = int(canvas["lines"][0]) // BLOCK
-    blocks, rectangles = np.zeros(side * side, np.int64), np.zeros(4 * int(canvas["room"][0]))
+    blocks, rectangles = np.zeros((lines // BLOCK) ** 2, np.int64), np.zeros(4 * room_for(lines))
     canvas["blocks"], canvas["rectangles"] = blocks.ctypes.data, rectangles.ctypes.data
-    return blocks, rectangles
+    return canvas, blocks, rectangles
 
 
 class TrackMesh:
@@ -73,8 +70,8 @@ class TrackMesh:
         self._record = record = relief.record(model)
         self._shape = entry(shape_of(relief, record["base"].dtype), SIGNATURE)
         self._skin, self._unit = skin_of(model), unit
-        self._canvas = canvas = make_canvas(record, memory, unit, region)
-        self._blocks, rectangles = room_of(canvas)
+        canvas, self._blocks, rectangles = make_canvas(record, memory, unit, region)
+        self._canvas = canvas
         self._rectangles = rectangles.reshape(-1, 4)
         first = int(model.skin_vertadr[self._skin])
         self._vertices = model.skin_vert[first : first + int(canvas["vertex_count"][0])]
