@@ -217,7 +217,6 @@ def _find(environment: Any) -> EnvSpec:
 
 
 def _check_options(spec: EnvSpec, options: dict[str, Any]) -> None:
-    """Check that all options are known."""
     own = inspect.signature(creator_of(spec.entry_point)).parameters
     taken = {*SAND_FIELDS, *own, *inspect.signature(gym.make).parameters, *_OF_MUJOCO}
     for name in options:

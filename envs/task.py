@@ -134,12 +134,7 @@ class Task(SandSpec, ABC):
 
     @abstractmethod
     def start(self, random: np.random.Generator, height: Callable[[float, float], float]) -> Start:
-        """Return the start of an episode.
-
-        Args:
-            random: random generator of the simulation.
-            height: height of the sand at x, y over the floor [m].
-        """
+        """Return an episode's start; `height` is that of the sand over the floor at x, y [m]."""
 
     @abstractmethod
     def observe(self, state: State) -> np.ndarray:
@@ -149,10 +144,7 @@ class Task(SandSpec, ABC):
     def rewards(self, before: Any, action: np.ndarray, state: State) -> dict[str, np.ndarray]:
         """Return the terms of the reward by their names in `info`, each of shape (n,).
 
-        Args:
-            before: what `mark` returned before the step.
-            action: the given action, shape (n, nu).
-            state: state after the step.
+        `before` is what `mark` returned before the step, the action has the shape (n, nu).
         """
 
     def mark(self, state: State) -> Any:

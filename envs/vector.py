@@ -228,7 +228,6 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         return random
 
     def _begin(self, ids: np.ndarray, ranges: SandRanges | None) -> None:
-        """Begin episodes of some simulations."""
         task, state = self.task, self._state
         samples, starts = [], []
         for number in ids:

@@ -28,9 +28,6 @@ def export_onnx(policy: Policy, file: str | Path) -> Path:
         policy: the policy, from `load_policy`.
         file: the file to write; must not exist yet.
 
-    Returns:
-        The file.
-
     Raises:
         MissingExtraError: the extra `onnx` is not installed.
         InputError: observations or actions are not rows of numbers, or a layer is unknown.

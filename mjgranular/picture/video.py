@@ -231,7 +231,6 @@ def _render(
 
 
 def _captioned(picture: np.ndarray, text: str, font: Any) -> np.ndarray:
-    """Return a copy of a picture with lines in a corner."""
     image = require("PIL.Image", extra="video", purpose=_PURPOSE).fromarray(picture)
     pen = require("PIL.ImageDraw", extra="video", purpose=_PURPOSE).Draw(image)
     pen.multiline_text(

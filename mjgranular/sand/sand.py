@@ -339,6 +339,7 @@ class Sand:
         binding.bodies["last_wrench"] = np.nan  # what is there now is the user's
         bound = self._bindings.get(data)
         binding.state[:] = 0.0 if bound is None else bound.state
+        counts = None if bound is None else bound.workspace.statistics
         failed = self._guarded(self._program, binding.address, lead)
         if failed != FINE:
             raise self._failure(data, failed, binding)
@@ -354,7 +355,7 @@ class Sand:
             binding=binding,
             gravity=0.0 if weightless else float(np.linalg.norm(pull)),
             slope=self._slope,
-            solver=self._solver(data),
+            solver=None if counts is None else Solver(*counts[0].item()),
         )
         self._probes.append((probe, binding))
         return report
@@ -389,13 +390,6 @@ class Sand:
         last = None if bound is None else bound.snapshot.time
         timestep = max(self._last_timestep, self._options.timestep)
         advice.warn(advice.CHECKS_OF_TIME, data.time, last, timestep, began)
-
-    def _solver(self, data: mujoco.MjData) -> Solver | None:
-        """Return the counters of the scheme in this simulation."""
-        bound = self._bindings.get(data)
-        if bound is None or bound.workspace.statistics is None:
-            return None
-        return Solver(*bound.workspace.statistics[0].item())
 
     def _own_applied(self, data: mujoco.MjData) -> np.ndarray:
         """Return `xfrc_applied` without what `apply` has left in it."""
