@@ -1,6 +1,6 @@
 """How sand is drawn: fields of a block's header, for the plugin and for scenes of Python."""
 
-from typing import Any
+from typing import Any, cast
 
 import mujoco
 import numpy as np
@@ -69,7 +69,7 @@ def look_of_tracks(
     if region is None and not isinstance(relief.base, Plane):
         unit = TILE
     canvas, *arrays = make_canvas(record, relief.memory, unit, region)
-    shape, fields = shape_of(relief, record["base"].dtype), record.dtype.fields
+    shape, fields = shape_of(relief, record["base"].dtype), cast(Any, record.dtype.fields)
     material, ground = int(model.skin_matid[skin]), -1
     if isinstance(relief.base, HeightField):
         ground = relief.base.geoms(model)[0]
