@@ -21,7 +21,7 @@ from mjgranular.envs.single import SandEnv as SandEnv
 from mjgranular.envs.task import Start as Start
 from mjgranular.envs.task import State as State
 from mjgranular.envs.task import Task as Task
-from mjgranular.envs.tasks import tasks as tasks
+from mjgranular.envs.task import tasks as tasks
 from mjgranular.envs.vector import SandVectorEnv as SandVectorEnv
 from mjgranular.envs.vector import WarpVectorEnv as WarpVectorEnv
 

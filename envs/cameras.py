@@ -1,7 +1,5 @@
 """Rendering of a simulation, to images or a window."""
 
-from __future__ import annotations
-
 import warnings
 from typing import Any
 

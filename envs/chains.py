@@ -1,7 +1,5 @@
 """Worms that swim in sand and crawl on it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,7 +1,5 @@
 """Dunes: a height field of waves across the robot's path."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Metrics of the sand, read from sensors: the same for one simulation and for many."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 
@@ -18,7 +16,10 @@ from mjgranular.surface.choice import surface_of
 
 
 class Figures:
-    """Reads the sensors that `put_on_sand` has added, or `readings` that stand in for them."""
+    """Reads the sensors that `put_on_sand` has added, or `readings` that stand in for them.
+
+    `sands` are the names of the instances, `gravity` is its magnitude on level ground [m/s^2].
+    """
 
     def __init__(
         self,
@@ -30,10 +31,10 @@ class Figures:
         # Where the readings of each sand begin: force, depth, power, speed.
         sensors = [int(model.sensor(f"sand/force/{name}").adr[0]) for name in names if not readings]
         self._blocks = readings.together if readings else sensors
-        gravity = float(np.linalg.norm(model.opt.gravity))
+        self.gravity = float(np.linalg.norm(model.opt.gravity))
         limits = [_limits_of(model, sand) for sand in sands]
         width, self._froude, self._depth, self._slope = np.array([some for some, _ in limits]).T
-        self._per_speed = 1 / np.sqrt(gravity * width)  # Froude number of 1 m/s
+        self._per_speed = 1 / np.sqrt(self.gravity * width)  # Froude number of 1 m/s
         self._found = [found for _, found in limits]
 
     def read(

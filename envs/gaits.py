@@ -1,7 +1,5 @@
 """Scripted gaits: actions as functions of time, with parameters; for baselines and searches."""
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable

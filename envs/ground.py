@@ -1,7 +1,5 @@
 """Sand in place of a model's floor, with sensors for environments."""
 
-from __future__ import annotations
-
 import math
 import warnings
 from collections.abc import Iterator, Sequence
@@ -98,7 +96,10 @@ def place(
     if spec.option.integrator == mujoco.mjtIntegrator.mjINT_RK4:
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.density = spec.option.viscosity = 0.0
-    _let_meet(spec)
+    parts = [geom for body in spec.bodies[1:] for geom in body.geoms]
+    if not any(geom.contype or geom.conaffinity for geom in parts):
+        for geom in parts:  # contacts with others, but not with each other
+            geom.conaffinity = 1
     if rigid is not None:
         if not floors or cut or any(sand.surface for sand in sands):
             raise InputError(
@@ -152,14 +153,6 @@ def _without_dunes(spec: mujoco.MjSpec) -> mujoco.MjModel:
             bare.delete(geom)
     with quiet():
         return bare.compile()
-
-
-def _let_meet(spec: mujoco.MjSpec) -> None:
-    """Enable contacts of geoms with others, but not with each other, if none is enabled."""
-    geoms = [geom for body in spec.bodies[1:] for geom in body.geoms]
-    if not any(geom.contype or geom.conaffinity for geom in geoms):
-        for geom in geoms:
-            geom.conaffinity = 1
 
 
 def _give_names(elements: Sequence[Any], stem: str, same_kind: Sequence[Any]) -> None:

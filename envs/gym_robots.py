@@ -1,7 +1,5 @@
 """Gymnasium's robots as tasks: Hopper, Walker2d, HalfCheetah, Swimmer, Ant, Humanoid."""
 
-from __future__ import annotations
-
 import inspect
 import math
 from collections.abc import Callable
@@ -58,6 +56,7 @@ class Robot(Task):
     """Whether velocities start with normal noise."""
 
     forward_reward_weight: float = 1.0
+    ctrl_cost_weight: float = 1e-3
     reset_noise_scale: float = 5e-3
     exclude_current_positions_from_observation: bool = True
 
@@ -104,6 +103,12 @@ class Robot(Task):
         """Return the speed along x [m/s]."""
         return (state.qpos[:, 0] - before[:, 0]) / self.dt
 
+    def rewards(self, before: Any, action: np.ndarray, state: State) -> dict[str, np.ndarray]:
+        return {
+            "reward_forward": self.forward_reward_weight * self.speed(before, state),
+            "reward_ctrl": -(self.ctrl_cost_weight * np.square(action).sum(axis=1)),
+        }
+
     def progress(self, before: Any, state: State) -> dict[str, np.ndarray]:
         return {"x_velocity": self.speed(before, state)}
 
@@ -112,7 +117,6 @@ class Robot(Task):
 class Standing(Robot):
     """A robot that is rewarded while it is healthy; its episode may end when it is not."""
 
-    ctrl_cost_weight: float = 1e-3
     healthy_reward: float = 1.0
     terminate_when_unhealthy: bool = True
 
@@ -123,6 +127,14 @@ class Standing(Robot):
     def stands(self, state: State) -> np.ndarray:
         """Return `healthy`, computed once."""
         return self.once(state, "healthy", self.healthy)
+
+    def rewards(self, before: Any, action: np.ndarray, state: State) -> dict[str, np.ndarray]:
+        terms = super().rewards(before, action, state)
+        ctrl = terms.pop("reward_ctrl")  # the last to be added
+        return terms | {
+            "reward_survive": self.stands(state) * self.healthy_reward,
+            "reward_ctrl": ctrl,
+        }
 
     def terminated(self, state: State) -> np.ndarray:
         if not self.terminate_when_unhealthy:
@@ -147,13 +159,6 @@ class _Legged(Standing):
         low, high = self.healthy_z_range
         left, right = self.healthy_angle_range
         return (low < z) & (z < high) & (left < angle) & (angle < right)
-
-    def rewards(self, before: Any, action: np.ndarray, state: State) -> dict[str, np.ndarray]:
-        return {
-            "reward_forward": self.forward_reward_weight * self.speed(before, state),
-            "reward_survive": self.stands(state) * self.healthy_reward,
-            "reward_ctrl": -(self.ctrl_cost_weight * np.square(action).sum(axis=1)),
-        }
 
     def place(self, state: State) -> dict[str, np.ndarray]:
         return {
@@ -257,12 +262,6 @@ class HalfCheetah(Robot):
 
     def observe(self, state: State) -> np.ndarray:
         return np.concatenate((self.seen(state.qpos), state.qvel), axis=1)
-
-    def rewards(self, before: Any, action: np.ndarray, state: State) -> dict[str, np.ndarray]:
-        return {
-            "reward_forward": self.forward_reward_weight * self.speed(before, state),
-            "reward_ctrl": -(self.ctrl_cost_weight * np.square(action).sum(axis=1)),
-        }
 
     def place(self, state: State) -> dict[str, np.ndarray]:
         return {"x_position": state.qpos[:, 0].copy()}
@@ -431,12 +430,7 @@ class Ant(_Spatial):
 
     def rewards(self, before: Any, action: np.ndarray, state: State) -> dict[str, np.ndarray]:
         contact = self.contact_cost_weight * np.square(self.felt(state)).sum(axis=1)
-        return {
-            "reward_forward": self.speed(before, state) * self.forward_reward_weight,
-            "reward_survive": self.stands(state) * self.healthy_reward,
-            "reward_ctrl": -(self.ctrl_cost_weight * np.square(action).sum(axis=1)),
-            "reward_contact": -contact,
-        }
+        return super().rewards(before, action, state) | {"reward_contact": -contact}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -510,13 +504,8 @@ class Humanoid(_Spatial):
         contact = np.clip(
             self.contact_cost_weight * np.square(forces).sum(axis=1), *self.contact_cost_range
         )
-        effort = np.square(action.astype(float)).sum(axis=1)
-        return {
-            "reward_forward": self.forward_reward_weight * self.speed(before, state),
-            "reward_survive": self.stands(state) * self.healthy_reward,
-            "reward_ctrl": -(self.ctrl_cost_weight * effort),
-            "reward_contact": -contact,
-        }
+        terms = super().rewards(before, action.astype(float), state)
+        return terms | {"reward_contact": -contact}
 
     def place(self, state: State) -> dict[str, np.ndarray]:
         return super().place(state) | {

@@ -1,7 +1,5 @@
 """Ids for `gymnasium.make`."""
 
-from __future__ import annotations
-
 import gymnasium as gym
 
 from mjgranular._util.checks import kind_of
@@ -9,8 +7,7 @@ from mjgranular.envs.chains import ChainCrawl, ChainSwim
 from mjgranular.envs.gym_robots import Ant, HalfCheetah, Hopper, Humanoid, Swimmer, Walker2d
 from mjgranular.envs.hexapod import Hexapod
 from mjgranular.envs.link_drop import LinkDrop
-from mjgranular.envs.task import Task
-from mjgranular.envs.tasks import tasks
+from mjgranular.envs.task import Task, tasks
 from mjgranular.envs.velocity import Go1Velocity, Go2Velocity
 from mjgranular.errors import InputError
 

@@ -1,7 +1,5 @@
 """Environments by Gymnasium id, including custom ones."""
 
-from __future__ import annotations
-
 import difflib
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The paper's impact as a one-step problem."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,18 +1,17 @@
 """Sand that is sampled at every reset."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from numbers import Real
-from typing import Any
+from typing import Any, Self
 
 import mujoco
 import numpy as np
 
 from mjgranular._util.checks import kind_of
 from mjgranular.engine import tune
+from mjgranular.envs.figures import Figures
 from mjgranular.errors import InputError, UnknownNameError
 from mjgranular.law import laws
 from mjgranular.medium import get_medium, media
@@ -84,7 +83,7 @@ class SandRanges:
             object.__setattr__(self, name, tuple(names))
 
     @classmethod
-    def of(cls, table: Mapping[str, Any]) -> SandRanges:
+    def of(cls, table: Mapping[str, Any]) -> Self:
         """Return ranges from a table by the names of the fields, as in TOML or YAML."""
         known = [field.name for field in fields(cls)]
         for name in table:
@@ -92,7 +91,7 @@ class SandRanges:
                 raise UnknownNameError("range of randomise", name, known)
         return cls(**table)
 
-    def check_within(self, other: SandRanges, origin: str) -> None:
+    def check_within(self, other: "SandRanges", origin: str) -> None:
         """Check that a curriculum or a reset names only sand that the model has."""
         for key in _NAMED:
             there = getattr(other, key)
@@ -185,20 +184,16 @@ def draw(
 def lay(
     sample: Sample,
     model: mujoco.MjModel,
-    sands: Sequence[str],
+    figures: Figures,
     plugin_state: np.ndarray,
     gravity: np.ndarray,
-    strength: float,
 ) -> None:
-    """Apply the sampled sand to a simulation: write to its plugin state and its gravity.
-
-    `sands` are the names of the instances of sand in the model; `strength` is the magnitude of
-    gravity [m/s^2].
-    """
+    """Apply the sampled sand to a simulation: write to its plugin state and its gravity."""
     factors = {"strength": sample.strength, "density": sample.density}
-    for number, name in enumerate(sands):
+    for number, name in enumerate(figures.sands):
         tune(model, plugin_state, name, active=float(number == sample.number), **factors)
-    gravity[:] = -strength * math.sin(sample.slope), 0.0, -strength * math.cos(sample.slope)
+    strength, slope = figures.gravity, sample.slope
+    gravity[:] = -strength * math.sin(slope), 0.0, -strength * math.cos(slope)
 
 
 def next_ranges(

@@ -1,7 +1,5 @@
 """Environments for RLlib."""
 
-from __future__ import annotations
-
 import importlib
 from collections.abc import Mapping
 from functools import partial

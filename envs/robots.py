@@ -1,7 +1,5 @@
 """Gymnasium's robots on sand."""
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Callable
 from functools import cache, partial
@@ -110,7 +108,7 @@ def make_robot(environment: str | type, sand: dict[str, Any], **options: Any) ->
 
 
 @cache  # by class: a module that is imported again has another class of the same name
-def _sandy(base: Any, environment: str | type) -> type[OnSand]:
+def _sandy(base: Any, environment: str | type) -> "type[OnSand]":
     return type(f"{base.__name__}OnSand", (OnSand, base), {"environment": environment})
 
 
@@ -157,7 +155,6 @@ class OnSand(MujocoEnv):
         screen.offheight = max(screen.offheight, self.height)
         self._readings = SandReadings(model, sands_in(model))
         self._figures = Figures(model, self.sands, self._readings)
-        self._strength = float(np.linalg.norm(model.opt.gravity))
         with converted_errors():
             return model, mujoco.MjData(model)
 
@@ -171,7 +168,7 @@ class OnSand(MujocoEnv):
             ranges = next_ranges(self._ranges, self._curriculum, self._episodes)
             self._drawn = draw(ranges, self._choices, self.np_random)
             state, gravity = self.data.plugin_state, self.model.opt.gravity
-            lay(self._drawn, self.model, self._figures.sands, state, gravity, self._strength)
+            lay(self._drawn, self.model, self._figures, state, gravity)
         self._episodes += 1
         return super().reset_model()
 
@@ -220,7 +217,6 @@ def _find(environment: Any) -> EnvSpec:
 
 
 def _check_options(spec: EnvSpec, options: dict[str, Any]) -> None:
-    """Check that all options are known."""
     own = inspect.signature(creator_of(spec.entry_point)).parameters
     taken = {*SAND_FIELDS, *own, *inspect.signature(gym.make).parameters, *_OF_MUJOCO}
     for name in options:

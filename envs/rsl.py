@@ -1,7 +1,5 @@
 """A task in MuJoCo Warp for RSL-RL."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

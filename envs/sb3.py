@@ -1,7 +1,5 @@
 """A batch of simulations for Stable-Baselines3."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Sequence
 from typing import Any

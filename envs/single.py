@@ -1,7 +1,5 @@
 """One simulation of a task, as a Gymnasium environment."""
 
-from __future__ import annotations
-
 from functools import partial
 from operator import attrgetter
 from typing import Any
@@ -11,8 +9,7 @@ import mujoco
 import numpy as np
 
 from mjgranular.envs.cameras import RENDER_MODES, Cameras
-from mjgranular.envs.task import Task, check_actions
-from mjgranular.envs.tasks import get_task
+from mjgranular.envs.task import Task, check_actions, get_task
 
 
 class SandEnv(gym.Env[np.ndarray, np.ndarray]):

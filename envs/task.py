@@ -8,8 +8,6 @@ To achieve this, a task sums only along the last axis, of row-major arrays, and 
 that NumPy computes differently for short and long arrays.
 """
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
@@ -26,6 +24,7 @@ from gymnasium.spaces import Box
 
 from mjgranular import HeightField, InputError, Medium, Plane, SandSpec
 from mjgranular._util.checks import check_count, check_switch
+from mjgranular._util.registry import Registry
 from mjgranular.envs.dunes import DUNES, Dunes, add_dunes
 from mjgranular.envs.figures import Figures
 from mjgranular.envs.ground import put_on_sand
@@ -135,12 +134,7 @@ class Task(SandSpec, ABC):
 
     @abstractmethod
     def start(self, random: np.random.Generator, height: Callable[[float, float], float]) -> Start:
-        """Return the start of an episode.
-
-        Args:
-            random: random generator of the simulation.
-            height: height of the sand at x, y over the floor [m].
-        """
+        """Return an episode's start; `height` is that of the sand over the floor at x, y [m]."""
 
     @abstractmethod
     def observe(self, state: State) -> np.ndarray:
@@ -150,10 +144,7 @@ class Task(SandSpec, ABC):
     def rewards(self, before: Any, action: np.ndarray, state: State) -> dict[str, np.ndarray]:
         """Return the terms of the reward by their names in `info`, each of shape (n,).
 
-        Args:
-            before: what `mark` returned before the step.
-            action: the given action, shape (n, nu).
-            state: state after the step.
+        `before` is what `mark` returned before the step, the action has the shape (n, nu).
         """
 
     def mark(self, state: State) -> Any:
@@ -191,27 +182,23 @@ class Task(SandSpec, ABC):
     # Built from it, once.
 
     @cached_property
-    def _sands(self) -> tuple[list[SandSpec], list[Choice]]:
-        return sands_of(self.randomise, self, HeightField(DUNES))
-
-    @property
     def sands(self) -> Sequence[SandSpec]:
         """The sands of the model, as specified."""
-        return self._sands[0]
-
-    @property
-    def choices(self) -> Sequence[Choice]:
-        """The sands in the model, by names."""
-        return self._sands[1]
+        return sands_of(self.randomise, self, HeightField(DUNES))[0]
 
     @cached_property
-    def _built(self) -> tuple[mujoco.MjModel, Figures, np.ndarray]:
-        """The model and data read from it before its gravity is tilted."""
+    def choices(self) -> Sequence[Choice]:
+        """The sands in the model, by names."""
+        return sands_of(self.randomise, self, HeightField(DUNES))[1]
+
+    @cached_property
+    def _built(self) -> tuple[mujoco.MjModel, Figures]:
+        """The model and the reader, which is made before gravity is tilted."""
         spec, drawn = self.scene(), self.randomise is not None
         model = put_on_sand(
             spec, self.sands, rigid=self.rigid, tunable=drawn, cut=self.cut, tile=self.tile
         )
-        return model, Figures(model, self.sands), np.array(model.opt.gravity)
+        return model, Figures(model, self.sands)
 
     def scene(self) -> mujoco.MjSpec:
         """Return the robot, with dunes if sampled, before sand replaces the floor."""
@@ -229,11 +216,6 @@ class Task(SandSpec, ABC):
     def figures(self) -> Figures:
         """Reader of the sand's metrics."""
         return self._built[1]
-
-    @property
-    def gravity(self) -> np.ndarray:
-        """Gravity on level ground [m/s^2], shape (3,)."""
-        return self._built[2]
 
     @cached_property
     def dt(self) -> float:
@@ -322,8 +304,7 @@ class Task(SandSpec, ABC):
         if start.userdata is not None:
             state.userdata[row] = start.userdata
         if sample is not None:
-            gravity, strength = numbers["opt.gravity"], float(np.linalg.norm(self.gravity))
-            lay(sample, self.model, self.figures.sands, plugin_state, gravity, strength)
+            lay(sample, self.model, self.figures, plugin_state, numbers["opt.gravity"])
             state.active[row], state.slope[row] = sample.number, sample.slope
             state.strength[row], state.density[row] = sample.strength, sample.density
 
@@ -373,6 +354,24 @@ class Task(SandSpec, ABC):
 
     def __reduce__(self) -> tuple[Any, ...]:
         return partial(type(self), **self.options()), ()  # its model is built again
+
+
+tasks: Registry[type[Task]] = Registry("environment")
+"""Tasks by the names in their ids: `ChainSwim` for `mjgranular/ChainSwim-v0`."""
+
+
+def get_task(task: str | Task, options: dict[str, Any]) -> Task:
+    """Return a task from its name and its options."""
+    if isinstance(task, Task):
+        if options:
+            raise InputError(f"a task has its options already: {', '.join(options)}")
+        return task
+    cls = tasks[task]
+    known = [item.name for item in fields(cls)]
+    for name in options:
+        if name not in known:
+            raise InputError(f"{task} has no option {name!r}; it has: {', '.join(known)}")
+    return cls(**options)
 
 
 def check_actions(actions: Any, shape: tuple[int, ...] | None) -> np.ndarray:

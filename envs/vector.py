@@ -1,7 +1,5 @@
 """Many simulations of a task, in threads or in MuJoCo Warp, as Gymnasium vector environments."""
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any
 
@@ -10,12 +8,12 @@ import numpy as np
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
+from mujoco.batch import Batch
 
 from mjgranular._util.checks import check_count, kind_of
 from mjgranular.envs.cameras import RENDER_MODES, Cameras
 from mjgranular.envs.ranges import SandRanges, options_of_reset
-from mjgranular.envs.task import Task, check_actions
-from mjgranular.envs.tasks import get_task
+from mjgranular.envs.task import Task, check_actions, get_task
 from mjgranular.errors import InputError, UnknownNameError
 
 
@@ -215,13 +213,6 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     def _make_batch(self, threads: int) -> Any:
         """Make the stepper of the simulations, with the methods of `mujoco.batch.Batch`."""
-        try:
-            from mujoco.batch import Batch
-        except ImportError:
-            raise InputError(
-                f"a batch needs a MuJoCo with mujoco.batch (3.17, 4.0), this is "
-                f"{mujoco.__version__}: vectorization_mode='sync' or 'async' does without"
-            ) from None
         return Batch(self.task.model, self.num_envs, threads)
 
     def _terminated(self) -> np.ndarray:
@@ -236,7 +227,6 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         return random
 
     def _begin(self, ids: np.ndarray, ranges: SandRanges | None) -> None:
-        """Begin episodes of some simulations."""
         task, state = self.task, self._state
         samples, starts = [], []
         for number in ids:

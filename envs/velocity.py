@@ -1,7 +1,5 @@
 """Robots that follow commanded velocities on sand."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

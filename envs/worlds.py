@@ -1,7 +1,5 @@
 """The worlds of MuJoCo Warp for `SandVectorEnv`, with the methods of `mujoco.batch.Batch`."""
 
-from __future__ import annotations
-
 from operator import attrgetter
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A six-legged robot with two joints in each leg."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 

@@ -1,7 +1,5 @@
 """The six-legged robot of Li, Zhang and Goldman, with measured speeds on poppy seed."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import ClassVar

@@ -1,7 +1,5 @@
 """The paper's link in other lengths, diameters and densities."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

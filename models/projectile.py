@@ -1,7 +1,5 @@
 """Other bodies in place of the link, to compare drops with experiments."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Literal, get_args

@@ -1,7 +1,5 @@
 """Robots by name: their MJCF, from MuJoCo Menagerie or from a folder."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A worm: a chain of thick links with servos at its joints, for robots that swim and crawl."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Literal

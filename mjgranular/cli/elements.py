@@ -19,7 +19,7 @@ from mjgranular.errors import FloorWarning, InputError
 from mjgranular.experiment.drop import Drop, loading, read, start_from
 from mjgranular.picture.elements import check_file, count, draw_elements, kind_of
 from mjgranular.sand import Sand
-from mjgranular.sand.cost import Cost
+from mjgranular.sand.advice import Cost
 from mjgranular.sand.report import Names
 from mjgranular.scheme import Explicit, Implicit
 

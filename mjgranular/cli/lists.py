@@ -126,7 +126,7 @@ def _policy(name: str) -> Listed:
 
 def _environments() -> Listed:
     from mjgranular.envs.ids import id_of
-    from mjgranular.envs.tasks import tasks
+    from mjgranular.envs.task import tasks
 
     rows = [_environment_row(id_of(name), task) for name, task in tasks.items()]
     cells = [
@@ -140,7 +140,7 @@ def _environments() -> Listed:
 def _environment(identity: str) -> Listed:
     from mjgranular.envs.ids import id_of, name_of
     from mjgranular.envs.known import find_spec
-    from mjgranular.envs.tasks import tasks
+    from mjgranular.envs.task import tasks
 
     name = name_of(identity.rpartition(":")[2])
     if ":" in identity:

@@ -104,7 +104,7 @@ class TrainCommand:
         run = begin_run(path, self.environment, settings, seed=seed)
         if run.sand == []:
             task = name.rpartition("-v")[0]
-            known = task in importlib.import_module("mjgranular.envs.tasks").tasks
+            known = task in importlib.import_module("mjgranular.envs").tasks
             other = f"mjgranular/{task}-v0" if known else "what `mjgranular list envs` lists"
             warn_user(f"{self.environment} has no sand in its model: {other} has")
         return run

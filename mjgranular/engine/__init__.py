@@ -3,8 +3,9 @@
 `spec` writes the MJCF and `config` reads it; `plugin` registers with MuJoCo through `trampolines`,
 machine code in front of Python; `loader` prepares the sand when an `mjData` is made, `block` lays
 it out in memory, `handles` maps simulations to blocks; `callbacks` runs at each step; `sensor` and
-`draw` read its results, `external` adds them to MuJoCo's own sensors. `tuning` is sand with its own
-state. With `pickles`, pickled models import mjgranular when they are loaded.
+`draw` read its results, `external` adds them to MuJoCo's own sensors, `looks` says how sand is
+drawn, also by Python. `tuning` is sand with its own state. With `pickles`, pickled models import
+mjgranular when they are loaded.
 """
 
 from mjgranular.engine.external import rne_post_constraint as rne_post_constraint

@@ -176,7 +176,7 @@ HEADER_DTYPE = np.dtype(
         ("frame", np.int64),  # offset of a relief's axes in that record [bytes]
         ("tiles", np.int64),  # address: rectangles that it is drawn with (`look.TILES`)
         ("tile_count", np.int64),
-        ("material", np.int64),  # `SandMaterial`
+        ("material", np.int64),  # how sand looks (`looks`)
         ("picture", np.int64),
         ("unit", np.float64),
         ("lowered", np.float64),

@@ -53,9 +53,6 @@ from mjgranular.kernel.options import has_passive_forces, options_of
 from mjgranular.kernel.records import bodies_of, contacts_of
 from mjgranular.scheme.status import BAD_TIMESTEP, REFUSED
 
-FUNCTIONS = ("mjv_initGeom", "mjv_connector")
-"""MuJoCo functions that compiled code calls."""
-
 Callbacks = dict[str, tuple[Any, str]]
 """Compiled functions by their fields in `mjpPlugin`, and their signatures."""
 

@@ -9,7 +9,8 @@ from mjgranular.engine.block import header_at
 from mjgranular.engine.config import DRAWINGS
 from mjgranular.engine.tuning import ACTIVE
 from mjgranular.kernel.compiled import compiled
-from mjgranular.kernel.intrinsics import c_function, call_step
+from mjgranular.kernel.engine import connect_geom, init_geom
+from mjgranular.kernel.intrinsics import call_step
 from mjgranular.kernel.memory import (
     SCENE,
     XIPOS,
@@ -42,8 +43,6 @@ _planes = records(PLANE_DTYPE)
 _frames = records(FRAME_DTYPE)
 _most, _count = field("mjvScene", "maxgeom"), field("mjvScene", "ngeom")
 _geoms_of = field("mjvScene", "geoms")
-_init = c_function("mjv_initGeom", "void", "int64", "int32", "int64", "int64", "int64", "int64")
-_connect = c_function("mjv_connector", "void", "int64", "int32", "float64", "int64", "int64")
 
 
 @compiled
@@ -56,7 +55,7 @@ def add_geom(scene, kind):
     raw = _bytes(address, _SIZE)
     for i in range(len(raw)):
         raw[i] = 0
-    _init(address, kind, 0, 0, 0, 0)
+    init_geom(address, kind, 0, 0, 0, 0)
     geom = _geoms(address, 1)[0]
     geom.objid, geom.segid = -1, counts[0]
     geom.category = _DECOR
@@ -91,7 +90,7 @@ def add_arrow(scene, header, bodies, contacts, slots, slot):
     if length > 0.0:
         address = add_geom(scene, _ARROW)
     if address != 0:
-        _connect(address, _ARROW, header.arrow_width, header.ends, header.ends + 24)
+        connect_geom(address, _ARROW, header.arrow_width, header.ends, header.ends + 24)
         rgba = _geoms(address, 1)[0].rgba
         rgba[0], rgba[1], rgba[2], rgba[3] = 0.85, 0.35, 0.1, 1.0
 
@@ -135,15 +134,14 @@ def add_sand(scene, header, kind, center, along, across, normal):
 
 
 @compiled
-def add_surface(scene, header, table, bodies):
-    """Add the plane of sand at its height, around the first body, as `SandMaterial.add` does."""
-    plane = _planes(table[SCENE] + header.plane, 1)[0]
+def add_surface(scene, header, surface, middle):
+    """Add the plane of sand at its height, around a point."""
+    plane = _planes(surface, 1)[0]
     normal = read_vector(plane.normal, 0)
     length = math.sqrt(normal.x * normal.x + normal.z * normal.z)
     along = vector(normal.z / length, 0.0, -normal.x / length)
     across = cross(normal, along)
-    body = read_vector(row_of(table[XIPOS], bodies[0].body, 3), 0)
-    x0, y0 = dot(along, body), dot(across, body)
+    x0, y0 = dot(along, middle), dot(across, middle)
     if not math.isfinite(x0 + y0):
         return
     x0 = math.floor(x0 / header.unit + 0.5) * header.unit
@@ -160,18 +158,26 @@ def add_surface(scene, header, table, bodies):
 
 
 @compiled
-def add_prints(scene, header, table, bodies, model):
-    """Add sand with tracks, as `render.TrackMesh` does: skin, rectangles, or a field beyond it."""
+def lay_prints(header, surface, middle, model):
+    """Fit the skin to sand with tracks, around a point, before MuJoCo computes its normals."""
     canvas = canvases(header.canvas, 1)[0]
-    canvas.surface = table[SCENE] + header.plane
+    canvas.surface = surface
+    if canvas.held == 0:
+        frame = _frames(surface + header.frame, 1)[0]
+        away = middle - read_vector(frame.origin, 0)
+        canvas.middle[0] = dot(read_vector(frame.along, 0), away)
+        canvas.middle[1] = dot(read_vector(frame.across, 0), away)
+    canvas.vertices = longs(model + header.skin_pointer, 1)[0] + header.skin_offset
+    call_step(header.shape_program, header.canvas, 0.0)
+
+
+@compiled
+def add_prints(scene, header):
+    """Add sand with tracks: skin, rectangles, or a field beyond it."""
+    canvas = canvases(header.canvas, 1)[0]
     frame = _frames(canvas.surface + header.frame, 1)[0]
     origin, along = read_vector(frame.origin, 0), read_vector(frame.along, 0)
     across, normal = read_vector(frame.across, 0), read_vector(frame.normal, 0)
-    if canvas.held == 0:
-        body = read_vector(row_of(table[XIPOS], bodies[0].body, 3), 0) - origin
-        canvas.middle[0], canvas.middle[1] = dot(along, body), dot(across, body)
-    canvas.vertices = longs(model + header.skin_pointer, 1)[0] + header.skin_offset
-    call_step(header.shape_program, header.canvas, 0.0)
     address = add_geom(scene, _SKIN)
     if address == 0:
         return
@@ -208,10 +214,13 @@ def draw(block, scene, model, prints):
     contacts = contacts_of(table)
     slots = longs(header.slots, len(contacts))
     if header.draw & _SURFACE and (header.tuned == 0 or header.applied[ACTIVE] != 0.0):
+        surface = table[SCENE] + header.plane
+        middle = read_vector(row_of(table[XIPOS], bodies[0].body, 3), 0)
         if prints:
-            add_prints(scene, header, table, bodies, model)
+            lay_prints(header, surface, middle, model)
+            add_prints(scene, header)
         elif header.tile_count != 0:
-            add_surface(scene, header, table, bodies)
+            add_surface(scene, header, surface, middle)
     if header.draw & _FORCES:
         for slot in range(len(bodies)):
             add_arrow(scene, header, bodies, contacts, slots, slot)

@@ -112,7 +112,6 @@ class HandleTable:
         self._rows["data"][numbers] = 0
 
     def _find_free(self) -> int:
-        """Find a free row."""
         self._purge()
         used = int(self._rows["used"][0])
         free = np.flatnonzero(self._rows["data"][1:used] == 0)

@@ -93,12 +93,7 @@ def relief_of(
 ) -> Heights:
     """Return the stored heights of a sand inside `mj_step`, as `Sand.relief` does.
 
-    Args:
-        model: the model.
-        data: the simulation.
-        name: name of the instance of sand.
-        middle: center of the returned square, along the axes of the surface's plane [m]; None for
-            the center of the bodies that meet the sand.
+    `name` is that of its instance.
 
     Raises:
         UnknownNameError: the model has no such sand; lists those it has.
@@ -122,5 +117,4 @@ def relief_of(
 
 
 def _spec_of(model: mujoco.MjModel, instance: int) -> SandSpec:
-    """Return the sand as it is configured in a model."""
     return read_config(config_texts(model._address, instance, KEYS)).sand

@@ -19,16 +19,15 @@ import mujoco
 import numpy as np
 from mujoco.introspect.ast_nodes import PointerType
 
-from mjgranular._util.names import name_of
 from mjgranular.engine import sensor
 from mjgranular.engine.block import HEADER_DTYPE, NO_PASSIVE, NO_RELOCATIONS, Image, make_image
 from mjgranular.engine.config import DRAWINGS, KEYS, named, read_config
 from mjgranular.engine.handles import HandleTable
 from mjgranular.engine.instances import NAME, config_texts, instance_name, plugin_slot
+from mjgranular.engine.looks import look_of_plane, look_of_tracks
 from mjgranular.engine.measures import SENSOR, SENSOR_KEYS
 from mjgranular.engine.tuning import NO_TUNINGS, STATE_SIZE, make_tunings
 from mjgranular.errors import InputError, UnknownNameError
-from mjgranular.kernel.compiled import program_address
 from mjgranular.kernel.engine import library
 from mjgranular.kernel.options import NO_PASSIVE_FORCES
 from mjgranular.kernel.structs import array_size, check_layout, fields_of, offset_of, read_struct
@@ -36,14 +35,13 @@ from mjgranular.kernel.threads import LOADER, prepare_in_worker
 from mjgranular.law import laws
 from mjgranular.medium import media
 from mjgranular.relief.relief import Relief
-from mjgranular.render.material import NOT_SHOWN, TILE, TILES, SandMaterial, radius_of
+from mjgranular.render.material import NOT_SHOWN, radius_of
 from mjgranular.render.skin import skin_of
-from mjgranular.render.track_kernel import shape_of
-from mjgranular.render.track_mesh import SIGNATURE, make_canvas, room_of
 from mjgranular.sand.prepare import PreparedSand, prepare
+from mjgranular.sand.report import Names
 from mjgranular.scheme import Auto, schemes
 from mjgranular.shape.select import names_in
-from mjgranular.surface import HeightField, Plane, Surface
+from mjgranular.surface import Plane, Surface
 from mjgranular.surface.choice import surfaces
 
 _KEPT = 32  # images of past models: they cost memory, and save another preparation
@@ -303,11 +301,11 @@ def _prepare(model: mujoco.MjModel, instance: int, texts: dict[str, str]) -> Pre
         )
     name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_PLUGIN, instance) or ""
     drawing, canvas = _drawing(model, config.draw, sand, name)
-    bodies, geoms = (dict.fromkeys(sand.elements[key].tolist()) for key in ("body", "geom"))
+    names = Names.of(model, sand.elements)
     return Prepared(
         make_image(model, mujoco.MjData(model), instance, sand, tunings, drawing, canvas),
-        bodies={body: name_of(model, "body", body) or str(body) for body in bodies},
-        geoms={geom: name_of(model, "geom", geom) or str(geom) for geom in geoms},
+        bodies=names.bodies,
+        geoms=names.geoms,
         disabled=sand.disabled,
         hidden=sand.surface.geoms(model) if canvas else (),
         place=None if config.tunable else _place_of(sand.surface),
@@ -330,51 +328,24 @@ def _drawing(
 
     Without memory a bed is drawn as its geom.
     """
-    look, chosen, skin = None, set(drawings), -1
-    surface = sand.surface.base if isinstance(sand.surface, Relief) else sand.surface
+    look, arrays, chosen = None, (), set(drawings)
+    surface, record = sand.surface, sand.scene["surface"]
     if "surface" in chosen:
-        if isinstance(sand.surface, Relief):
-            skin = skin_of(model, name)
-        if isinstance(surface, Plane):
-            look = SandMaterial.of(model, surface.normal, surface.offset, radius_of(model))
-    if look is None and skin < 0:
+        if isinstance(surface, Relief) and (skin := skin_of(model, name)) >= 0:
+            look, arrays = look_of_tracks(model, surface, record, skin, 2 * radius_of(model))
+        else:
+            plane = surface.base if isinstance(surface, Relief) else surface
+            look = look_of_plane(model, plane, radius_of(model))
+    if look is None:
         chosen -= {"surface"}
     if not chosen:
         return {"draw": 0}, ()
     check_layout("mjvGeom")
-    found: dict[str, Any] = {
+    fields: Any = sand.scene.dtype.fields
+    return {
         "draw": sum(1 << DRAWINGS.index(drawing) for drawing in chosen),
         "arrow_scale": model.vis.map.force / model.stat.meanmass,
         "arrow_width": model.vis.scale.forcewidth * model.stat.meansize,
-    }
-    fields: Any = sand.scene.dtype.fields
-    found["plane"] = fields["surface"][1]
-    if look is not None:
-        found |= vars(look)
-        found |= {"rgb": look.rgba[:3], "tiles": TILES.ctypes.data, "tile_count": len(TILES)}
-    if skin < 0 or not isinstance(sand.surface, Relief):
-        return found, ()
-    record = sand.scene["surface"]
-    unit = 2 * radius_of(model) if isinstance(surface, Plane) else TILE
-    canvas = make_canvas(record, sand.surface.memory, unit)
-    material = int(model.skin_matid[skin])
-    role = int(mujoco.mjtTextureRole.mjTEXROLE_RGB)
-    fields = record.dtype.fields
-    found |= {
-        "frame": fields["origin"][1],
-        "shape_program": program_address(
-            shape_of(sand.surface, record["base"].dtype), SIGNATURE, "prints, as they are drawn"
-        ),
-        "skin": skin,
-        "skin_pointer": offset_of("mjModel", "skin_vert"),
-        "skin_offset": 12 * int(model.skin_vertadr[skin]),
-        "material": material,
-        "picture": int(model.mat_texid[material, role]) if material >= 0 else -1,
-        "rgb": model.skin_rgba[skin, :3],
-        "unit": unit,
-        "ground": -1,
-    }
-    if isinstance(surface, HeightField):
-        geom = surface.geoms(model)[0]
-        found |= {"ground": geom, "ground_data": model.geom_dataid[geom]}
-    return found, (canvas, *room_of(canvas))
+        "plane": fields["surface"][1],
+        **(look or {}),
+    }, arrays

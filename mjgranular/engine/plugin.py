@@ -32,7 +32,6 @@ from mjgranular.errors import GranularError
 from mjgranular.kernel.compiled import program_address
 from mjgranular.kernel.compiler import CompilerError
 from mjgranular.kernel.engine import library
-from mjgranular.kernel.intrinsics import publish_functions
 from mjgranular.kernel.structs import LayoutError, check_layout
 from mjgranular.kernel.threads import ENGINE, is_main, is_preparing, prepare_in_worker
 from mjgranular.relief.memory import as_memory
@@ -180,7 +179,6 @@ class Engine:
         from mjgranular.engine import callbacks
         from mjgranular.engine.loader import Loader
 
-        publish_functions(library(), callbacks.FUNCTIONS)
         if self._loader is None:
             self._loader = Loader(partial(self._put, NAME, callbacks.DRAWING))
         self._put(plugin.name, callbacks.SAND if plugin.name == NAME else callbacks.SENSOR)

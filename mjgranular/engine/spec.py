@@ -45,9 +45,6 @@ def add_sand(
         name: name of the instance; None for "sand", "sand_2", ...
         **fields: fields of `SandSpec`, which documents them; they replace those of `sand`.
 
-    Returns:
-        The instance.
-
     Raises:
         InputError: an object has no name to be written by, or the name is taken. What does not fit
             the model is found when it is compiled.

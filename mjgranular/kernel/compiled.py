@@ -177,7 +177,6 @@ def _load_or_compile(kernel: Any, signature: str, make: Callable[..., Any], what
 
 
 def _name_of(kernel: Any, signature: str, make: Callable[..., Any]) -> str:
-    """Return the name of a program in the cache."""
     return digest((stable_name(kernel), signature, make.__name__))
 
 

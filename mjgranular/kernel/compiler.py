@@ -58,7 +58,8 @@ def compiling(what: str = "") -> Iterator[None]:
     except (GranularError, MemoryError):
         raise
     except Exception as error:
-        if isinstance(error, ImportError) or not _is_tested():
+        first, installed, last = map(_numbers, (TESTED[0], _installed() or "0", TESTED[1]))
+        if isinstance(error, ImportError) or not first <= installed <= last:
             raise CompilerError(error) from error
         raise KernelError(error, what) from error
 
@@ -68,11 +69,6 @@ def _installed() -> str | None:
         return version("numba")
     except PackageNotFoundError:
         return None
-
-
-def _is_tested() -> bool:
-    first, installed, last = map(_numbers, (TESTED[0], _installed() or "0", TESTED[1]))
-    return first <= installed <= last
 
 
 def _numbers(text: str) -> tuple[int, ...]:

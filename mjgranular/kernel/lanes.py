@@ -73,8 +73,6 @@ def spread(context: Any, builder: Any, kind: Any, value: Any, lanes: Lanes) -> A
 
 
 def _define(function: Any, emit: Callable[..., Any], result: type, arguments: int) -> None:
-    """Define an operator for lanes."""
-
     def result_of(args: Any) -> Any:
         lanes = lanes_among(args)
         return None if lanes is None else result(lanes.count)

@@ -1,7 +1,5 @@
 """Agents that need no training: zero, random, a scripted gait. `policies.Policy` is another."""
 
-from __future__ import annotations
-
 import importlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The callback of a training: writes the learning curve and the checkpoints when they are due."""
 
-from __future__ import annotations
-
 import random
 import time
 from collections import deque

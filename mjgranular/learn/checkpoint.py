@@ -1,12 +1,10 @@
 """Checkpoints: all that a training needs to resume, read as data, without unpickling."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -130,7 +128,7 @@ class Normalizer:
         return np.clip(scaled, -self.clip, self.clip).astype(np.float32)
 
     @classmethod
-    def of(cls, env: Any) -> Normalizer:
+    def of(cls, env: Any) -> Self:
         """Return the statistics of a `VecNormalize`."""
         none, returns = np.array([]), env.ret_rms
         mean, variance, count = none, none, 0.0
@@ -148,7 +146,7 @@ class Normalizer:
         env.ret_rms.var = np.float64(self.return_variance)
         env.ret_rms.count = self.return_count
 
-    def widened(self, size: int) -> Normalizer:
+    def widened(self, size: int) -> Self:
         """Return statistics of more observations, of which the new ones are not scaled at first."""
         more = size - len(self.mean) if self.observations else 0
         return replace(
@@ -162,7 +160,7 @@ class Normalizer:
         return {**asdict(self), "mean": self.mean.tolist(), "variance": self.variance.tolist()}
 
     @classmethod
-    def read(cls, file: Path, settings: Settings, shape: tuple[int, ...]) -> Normalizer:
+    def read(cls, file: Path, settings: Settings, shape: tuple[int, ...]) -> Self:
         """Read what `as_json` returned, for observations of a shape."""
         content, scaled = read_json(file), settings.normalize_observations
         try:

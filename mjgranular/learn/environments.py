@@ -1,7 +1,5 @@
 """Environments by their ids: one, several at once, or for Stable-Baselines3."""
 
-from __future__ import annotations
-
 import importlib
 import inspect
 from collections.abc import Callable, Mapping

@@ -1,7 +1,5 @@
 """Evaluation of an agent: complete episodes, one per seed, and means with confidence intervals."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

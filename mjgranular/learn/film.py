@@ -1,7 +1,5 @@
 """Films of an agent."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack

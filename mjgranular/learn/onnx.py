@@ -1,7 +1,5 @@
 """Export policies to ONNX, for robots and other simulators."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -29,9 +27,6 @@ def export_onnx(policy: Policy, file: str | Path) -> Path:
     Args:
         policy: the policy, from `load_policy`.
         file: the file to write; must not exist yet.
-
-    Returns:
-        The file.
 
     Raises:
         MissingExtraError: the extra `onnx` is not installed.

@@ -1,10 +1,8 @@
 """Policies: of a run, of one of its checkpoints, or of those that come with the package."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import mujoco
 import numpy as np
@@ -35,7 +33,7 @@ class Policy:
         """Return the actions, without noise; `steps` are not used."""
         return self.model.predict(self.normalizer(observations), deterministic=True)[0]
 
-    def checked(self, env_id: str, env: Any) -> Policy:
+    def checked(self, env_id: str, env: Any) -> Self:
         """Return the policy; raise `InputError` if an environment has other spaces."""
         check_spaces(self.model, env, self.folder, env_id)
         return self

@@ -1,7 +1,5 @@
 """The folder of a run: settings, checkpoints, the curve; one process at a time."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json
@@ -13,7 +11,7 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from mjgranular._util import files
 from mjgranular._util.io import fits, is_text, read_json, read_text
@@ -102,7 +100,7 @@ class Run:
         """Return the path of the checkpoint after `steps` steps."""
         return self.path / CHECKPOINTS / f"step-{steps:010d}"
 
-    def extended(self, total_steps: int) -> Run:
+    def extended(self, total_steps: int) -> Self:
         """Return the run with another number of steps, and write that to its folder."""
         longer = replace(self, settings=replace(self.settings, total_steps=total_steps))
         file = self.path / CONFIG

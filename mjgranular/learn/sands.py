@@ -4,8 +4,6 @@ Defaults may change with the next version, and a user's file at any time. Withou
 would act on other sand than it was trained on, unnoticed.
 """
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Mapping
 from contextlib import closing

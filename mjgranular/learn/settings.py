@@ -1,7 +1,5 @@
 """Settings of a training: read from TOML files, changed on the command line, checked."""
 
-from __future__ import annotations
-
 import inspect
 import tomllib
 import typing
@@ -9,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from mjgranular._util.extras import require
 from mjgranular._util.io import fits, place, read_file
@@ -110,7 +108,7 @@ class Settings:
         return {**asdict(self), "net": list(self.net)}
 
     @classmethod
-    def from_json(cls, content: object) -> Settings:
+    def from_json(cls, content: object) -> Self:
         """Return the settings of which `as_json` made `content`."""
         if not isinstance(content, Mapping):
             raise InputError("settings must be an object")

@@ -5,8 +5,6 @@ anything, and an entry `data`, half of which are pickles. What these contain fol
 settings of the run, except for the spaces, which are added to the file as JSON.
 """
 
-from __future__ import annotations
-
 import io
 import json
 import pickle

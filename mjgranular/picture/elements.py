@@ -234,7 +234,6 @@ def _draw_legend(figure: Any, names: dict[str, np.ndarray]) -> None:
 
 
 def _draw_scale(figure: Any, depth: np.ndarray) -> None:
-    """Draw the scale of the colors of depth."""
     cm = require("matplotlib.cm", extra="figures", purpose="Drawing elements")
     colors = require("matplotlib.colors", extra="figures", purpose="Drawing elements")
     low, high = float(depth.min()), float(depth.max())
@@ -313,7 +312,6 @@ def add_elements(
 
 
 def _add_bodies(scene: mujoco.MjvScene, shown: Shown) -> None:
-    """Add the solids of the elements."""
     place = {"facets": facet_bodies, "rods": _rod_bodies, "blobs": _blob_bodies}[shown.kind]
     kinds, sizes, frames = place(shown.elements)
     frames = shown.turn @ frames

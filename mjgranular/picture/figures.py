@@ -1,7 +1,5 @@
 """Figures of runs, in the style of the paper."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path

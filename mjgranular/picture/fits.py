@@ -1,7 +1,5 @@
 """Figure of a fit: every run's curve, measured and predicted by the fitted law."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,19 +1,18 @@
 """Views, sand and arrows in the scene of a film."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import mujoco
 import numpy as np
 
+from mjgranular.engine.looks import DrawnSand
 from mjgranular.errors import drawing
 from mjgranular.relief import Memory
-from mjgranular.render import Replay, TrackMesh, Tracks
-from mjgranular.render.material import NOT_SHOWN, TILE, SandMaterial, boxes_of, moving_geoms
-from mjgranular.render.track_mesh import Region
+from mjgranular.render import Replay, Tracks
+from mjgranular.render.material import NOT_SHOWN, boxes_of, moving_geoms
+from mjgranular.render.track_kernel import Region
 from mjgranular.surface import Plane, Surface
 
 _ARROW = np.array([0.80, 0.16, 0.10])
@@ -31,7 +30,7 @@ class View:
     radius: float
 
     @classmethod
-    def of(cls, model: mujoco.MjModel, data: mujoco.MjData, qpos: np.ndarray) -> View:
+    def of(cls, model: mujoco.MjModel, data: mujoco.MjData, qpos: np.ndarray) -> Self:
         """Return the view of a run through these positions, shape (n, nq); `data` is changed."""
         geoms = moving_geoms(model)
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
@@ -67,37 +66,30 @@ class Ground:
         view: View,
         covered: tuple[Tracks, Memory] | None = None,
     ) -> None:
-        self._middle, self._material, self._plane, self._geoms = view.middle, None, None, ()
-        self._mesh = None
+        self._middle, self._sand, self._replay, self._geoms = view.middle, None, None, ()
         if covered is not None:
-            unit = 2 * view.radius if isinstance(surface, Plane) else TILE
-            region = None
-            if surface is None:
-                region, unit = _cut_open(model)
-            self._mesh = TrackMesh(model, surface or Plane(), covered[1], unit=unit, region=region)
-            self._replay, self._prints = Replay(*covered), covered[0]
-            return
-        if isinstance(surface, Plane):
-            self._plane = surface
-            self._material = SandMaterial.of(model, surface.normal, surface.offset, view.radius)
+            region, unit = _cut_open(model) if surface is None else (None, 2 * view.radius)
+            base, (self._prints, memory) = surface or Plane(), covered
+            self._sand = DrawnSand(model, base, memory, unit=unit, region=region)
+            self._replay = Replay(*covered)
+        elif isinstance(surface, Plane):
+            self._sand = DrawnSand(model, surface, radius=view.radius)
         elif surface is not None:
             self._geoms = surface.geoms(model)
 
     def moves(self, time: float) -> bool:
         """Return True if sand has flowed between the last picture and a time [s]."""
-        return self._mesh is not None and self._prints.change(self._replay.time, time)
+        return self._replay is not None and self._prints.change(self._replay.time, time)
 
     def lay(self, time: float, middle: np.ndarray) -> None:
         """Update the tracks to a time [s], around a place [m]; call this before a scene is made."""
-        if self._mesh is not None:
-            self._mesh.lay(self._replay.to(time), middle)
+        if self._sand is not None and self._replay is not None:
+            self._sand.lay(self._replay.to(time), middle)
 
     def show(self, scene: mujoco.MjvScene) -> None:
         """Add a plane; stop geoms of sand from casting shadows, which would speckle them."""
-        if self._mesh is not None:
-            self._mesh.show(scene)
-        if self._material is not None and self._plane is not None:
-            self._material.add(scene, self._plane.normal, self._plane.offset, self._middle)
+        if self._sand is not None:
+            self._sand.show(scene, self._middle)
         if self._geoms:
             for geom in scene.geoms[: scene.ngeom]:
                 if geom.objtype == mujoco.mjtObj.mjOBJ_GEOM and geom.objid in self._geoms:
@@ -110,7 +102,7 @@ def _cut_open(model: mujoco.MjModel) -> tuple[Region, float]:
     bed.group = NOT_SHOWN
     low, high = bed.pos - bed.size, bed.pos + bed.size
     grains = 2 / float(model.mat_texrepeat[bed.matid.item(), 0])  # of a box MuJoCo has half sizes
-    return Region((low[0], low[1]), (high[0], high[1]), low[2]), grains
+    return (low[:2], high[:2], low[2]), grains
 
 
 def make_renderer(model: mujoco.MjModel, width: int, height: int) -> Any:

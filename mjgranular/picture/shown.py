@@ -1,10 +1,8 @@
 """Elements at one instant, and the polygons that outline them: the data of figures and scenes."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal, Self, get_args
 
 import mujoco
 import numpy as np
@@ -43,7 +41,7 @@ class Shown:
     names: dict[str, np.ndarray]
 
     @classmethod
-    def at(cls, sand: Sand, data: mujoco.MjData, color: str) -> Shown:
+    def at(cls, sand: Sand, data: mujoco.MjData, color: str) -> Self:
         """Return the elements at the state in `data`."""
         kind, elements, report = kind_of(sand), sand.elements, sand.report(data)
         if color == "depth":

@@ -1,7 +1,5 @@
 """Figures of studies: outcomes against one varied field, or over two."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,6 +1,4 @@
-"""Films of a run in slow motion, with the force of the sand as an arrow."""
-
-from __future__ import annotations
+"""Films of a run in slow motion, with the force of the sand as an arrow; films in notebooks."""
 
 import warnings
 from collections.abc import Callable, Iterator
@@ -12,10 +10,12 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from mjgranular._util.checks import kind_of
 from mjgranular._util.extras import require
 from mjgranular._util.files import atomic_write
 from mjgranular.errors import GranularWarning, InputError, OutputError, UnknownNameError
-from mjgranular.experiment.drop import Drop, load
+from mjgranular.experiment.drop import Drop, DropResult, load
+from mjgranular.experiment.impact import ImpactResult
 from mjgranular.experiment.trajectory import Trajectory
 from mjgranular.models import Link
 from mjgranular.picture.scene import Ground, View, add_arrow, make_renderer
@@ -231,7 +231,6 @@ def _render(
 
 
 def _captioned(picture: np.ndarray, text: str, font: Any) -> np.ndarray:
-    """Return a copy of a picture with lines in a corner."""
     image = require("PIL.Image", extra="video", purpose=_PURPOSE).fromarray(picture)
     pen = require("PIL.ImageDraw", extra="video", purpose=_PURPOSE).Draw(image)
     pen.multiline_text(
@@ -276,3 +275,38 @@ def write_video(
             writer.add_image(picture)
             if progress is not None:
                 progress(done, count)
+
+
+def play(film: Any, *, fps: int, seconds: float, camera: str | None) -> None:
+    """Play a film; see `mjgranular.show`."""
+    if not isinstance(fps, int) or not 1 <= fps <= 240:
+        raise InputError(f"frames per second must be an integer from 1 to 240, got {kind_of(fps)}")
+    mediapy = need_mediapy("Showing a film")
+    mediapy.show_video(_pictures(film, fps, seconds, camera), fps=fps)
+
+
+def _pictures(film: Any, fps: int, seconds: float, camera: str | None) -> list[np.ndarray]:
+    """Return the pictures of a film, or of a result."""
+    if isinstance(film, DropResult):
+        options = Film(camera=camera or "free", fps=fps, seconds=seconds)
+        motion = Motion(film.t, film.qpos, film.point, film.force)
+        return list(frames_of_drop(options, film.drop, motion, film.prints)[1])
+    if isinstance(film, ImpactResult):
+        options = Film(camera=camera or "side", fps=fps, seconds=seconds)
+        stop = None if film.stop is None else (film.touchdown or 0.0) + film.stop.time
+        impact, run, prints = film.impact, film.trajectory, film.prints
+        drawn = frames_of_run(
+            options, impact.link, run, stop=stop, prints=prints, sand=impact.described
+        )
+        return list(drawn[1])
+    try:
+        pictures = [np.asarray(picture) for picture in film]
+    except (TypeError, ValueError, UnknownNameError):  # not a sequence, nor a known result
+        pictures = []
+    pictures = [picture[..., :3] if picture.ndim == 3 else picture for picture in pictures]
+    if not pictures or any(p.ndim != 3 or p.shape != pictures[0].shape for p in pictures):
+        raise InputError(
+            "show takes pictures of one size, shape (height, width, 3), such as those of "
+            f"env.render(), or the result of run_drop or run_impact, not {kind_of(film)}"
+        )
+    return pictures

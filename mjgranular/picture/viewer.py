@@ -1,7 +1,5 @@
 """MuJoCo's interactive viewer: a check that it can open, and a real-time loop."""
 
-from __future__ import annotations
-
 import importlib
 import os
 import sys

@@ -1,7 +1,5 @@
 """A model with sand in a web browser: robots by mjviser, sand as the plugin draws it."""
 
-from __future__ import annotations
-
 import copy
 import ctypes
 import socket

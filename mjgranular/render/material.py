@@ -3,11 +3,7 @@
 Drawings are added to scenes, not to the model, which keeps its bodies and geoms and their order.
 """
 
-from __future__ import annotations
-
 import math
-from dataclasses import dataclass
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -26,7 +22,6 @@ NOT_SHOWN = 5
 
 _DARK, _BRIGHT, _DARK_SHARE = (0.75, 0.62, 0.44), (0.88, 0.77, 0.58), 0.4
 _PIXELS = 256  # along an edge of the texture
-_HAIR = 2e-3  # of the radius: ground of the model this near hides the sand
 _PARALLEL = 0.999  # cosine of the largest angle between faces that hide each other
 _SHOWN = 3  # number of geom groups that viewers and renderers show by default
 _DEFAULT = (0.5, 0.5, 0.5, 1.0)  # color of a geom whose color is not set
@@ -70,101 +65,10 @@ def paint(geom: mujoco.MjsGeom, material: str) -> None:
         geom.rgba = [1.0, 1.0, 1.0, 1.0]
 
 
-@dataclass(frozen=True)
-class SandMaterial:
-    """Appearance of a plane of sand in a model."""
-
-    material: int  # id of its material; -1 for none
-    picture: int  # id of the grain texture; -1 for none
-    # Unit of `TILES`, and edge of the texture [m]; the rectangles follow the model in these steps
-    unit: float
-    # How far the rectangles are below the surface, if ground of the model is in it [m]
-    lowered: float
-
-    @classmethod
-    def of(
-        cls, model: mujoco.MjModel, normal: np.ndarray, offset: float, radius: float
-    ) -> SandMaterial | None:
-        """Return how the plane of the points p with normal @ p = offset is drawn under a model.
-
-        The normal is upward. A ball of that radius [m] around what moves sets the size of visible
-        grains. Return None if the model shows the plane by its own geom without contacts.
-        """
-        names = (model.material(number).name for number in range(model.nmat))
-        found = next((k for k, name in enumerate(names) if name.endswith(MATERIAL)), -1)
-        hair = _HAIR * radius
-        ground = _ground_at(model, normal, offset, hair)
-        if any(not (model.geom_contype[geom] or model.geom_conaffinity[geom]) for geom in ground):
-            return None
-        return cls(found, texture_of(model, found), 2 * radius, hair if ground else 0.0)
-
-    @property
-    def rgba(self) -> np.ndarray:
-        """Color that the material's texture is multiplied by, or the plain color."""
-        return np.array(COLOR if self.material < 0 else (1.0, 1.0, 1.0, 1.0), np.float32)
-
-    def add(
-        self, scene: mujoco.MjvScene, normal: np.ndarray, offset: float, middle: np.ndarray
-    ) -> None:
-        """Add the plane to a scene, around a point."""
-        axes = axes_of(normal)
-        # The plugin does the same in compiled code (`engine.draw`).
-        place = axes.T @ middle
-        place[:2] = np.floor(place[:2] / self.unit + 0.5) * self.unit
-        place[2] = offset - self.lowered
-        for x, y, half_x, half_y in TILES * self.unit:
-            add_geom(
-                scene,
-                mujoco.mjtGeom.mjGEOM_PLANE,
-                np.array([half_x, half_y, 0.1]),
-                axes @ (place + np.array([x, y, 0.0])),
-                axes,
-                material=self.material,
-                texture=self.picture,
-                rgba=self.rgba,
-                unit=self.unit,
-            )
-
-
-def add_geom(
-    scene: mujoco.MjvScene,
-    kind: mujoco.mjtGeom,
-    size: np.ndarray,
-    place: np.ndarray,
-    axes: np.ndarray,
-    *,
-    material: int,
-    texture: int,
-    rgba: np.ndarray,
-    unit: float,
-) -> Any:
-    """Add a decorative geom with the look of sand; return None if the scene is full.
-
-    Axes are in columns. Material and texture are ids, -1 for none; the texture is multiplied by
-    `rgba`, and its edge is `unit` [m].
-    """
-    if scene.ngeom >= scene.maxgeom:
-        return None
-    geom = scene.geoms[scene.ngeom]
-    mujoco.mjv_initGeom(geom, kind, size, place, axes.ravel(), rgba)
-    geom.matid, geom.texid = material, texture
-    geom.texuniform, geom.texrepeat = 1, [2 / unit, 2 / unit]
-    geom.specular = geom.shininess = geom.reflectance = 0.0
-    geom.category = mujoco.mjtCatBit.mjCAT_DECOR
-    scene.ngeom += 1
-    return geom
-
-
 def texture_of(model: mujoco.MjModel, material: int) -> int:
     """Return the id of the color texture of a material; -1 for none."""
     role = int(mujoco.mjtTextureRole.mjTEXROLE_RGB)
     return int(model.mat_texid[material, role]) if material >= 0 else -1
-
-
-def axes_of(normal: np.ndarray) -> np.ndarray:
-    """Return the axes of a plane in columns, the last its normal, which must point up."""
-    along = np.array([normal[2], 0.0, -normal[0]]) / math.hypot(normal[0], normal[2])
-    return np.column_stack([along, np.cross(normal, along), normal])
 
 
 def boxes_of(
@@ -201,7 +105,7 @@ def radius_of(model: mujoco.MjModel) -> float:
     return size if math.isfinite(size) and size > 0 else float(model.stat.extent)
 
 
-def _ground_at(model: mujoco.MjModel, normal: np.ndarray, offset: float, near: float) -> list[int]:
+def ground_at(model: mujoco.MjModel, normal: np.ndarray, offset: float, near: float) -> list[int]:
     """Return ids of visible fixed planes, and boxes with a face, that are in a plane."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)

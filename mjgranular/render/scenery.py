@@ -1,7 +1,5 @@
 """Daylight, sky and sand for a model."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 
@@ -24,7 +22,7 @@ def add_scenery(spec: mujoco.MjSpec, surface: Surface) -> None:
     """Add daylight and the material of sand, but no geom.
 
     A bed or height field without a color becomes sand; an infinite plane is not a geom, and is
-    drawn into the scene (`SandMaterial`, or by the plugin).
+    drawn into the scene (`engine.looks`, or by the plugin).
     """
     add_daylight(spec)
     material = add_material(spec)

@@ -6,8 +6,6 @@ memory: node (i, j) has the vertex (i mod n, j mod n), and its texture stays in 
 moves on.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

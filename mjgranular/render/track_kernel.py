@@ -7,8 +7,6 @@ under the rectangles, so that MuJoCo, which computes normals from triangles, com
 its edge as inside.
 """
 
-from __future__ import annotations
-
 import math
 from functools import cache, partial
 from typing import Any
@@ -19,9 +17,10 @@ from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.memory import floats, longs, records
 from mjgranular.kernel.vector import read_vector
 from mjgranular.relief.grid import HEIGHT, base_of, own_mark, place_of, start_of
+from mjgranular.relief.memory import Memory
 from mjgranular.relief.probe import level_kernel, state_length
 from mjgranular.relief.relief import Relief, relief_dtype
-from mjgranular.render.skin import BLOCK
+from mjgranular.render.skin import BLOCK, lines_of, stride_of, vertex_count
 from mjgranular.surface import Surface
 
 CANVAS_DTYPE = np.dtype(
@@ -50,6 +49,14 @@ FRAME_DTYPE = np.dtype(
     [(name, np.float64, (3,)) for name in ("origin", "along", "across", "normal")]
 )
 """Fields of a relief's record: the plane under the heights."""
+
+SIGNATURE = "int64(int64, float64)"
+"""Signature of the program that fits a skin to the sand."""
+
+
+Region = tuple[np.ndarray, np.ndarray, float]
+"""A rectangle of sand along the axes of the plane under the heights: its lowest and highest corner,
+and the lower edge of its walls, over the plane; 0 for none [m]."""
 
 _HAIR = 0.02  # distance of hidden vertices under rectangles [cells]
 _ENDS = 5.0  # nodes at the edge of a window over which tracks fade out
@@ -324,3 +331,30 @@ def shape_of(relief: Relief, base: np.dtype) -> Any:
     """Return the program of a relief over a surface with that record."""
     surface: type[Surface] = type(relief.base)
     return shape_kernel(surface.probe, relief.is_flat, relief_dtype(base))
+
+
+def make_canvas(
+    record: np.ndarray, memory: Memory, unit: float, region: Region | None = None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the description of a drawing, `CANVAS_DTYPE` of shape (1,), its blocks and rectangles.
+
+    The addresses of surface and vertices are missing.
+    """
+    if region is None and np.isfinite(record["half_along"][0]):
+        half = np.array([record["half_along"][0], record["half_across"][0]])
+        names = record["base"].dtype.names or ()
+        thick = float(record["base"]["thickness"][0]) if "thickness" in names else 0.0
+        region = -half, half, -thick
+    lines = lines_of(memory)
+    canvas = np.zeros(1, CANVAS_DTYPE)
+    canvas["lines"], canvas["vertex_count"] = lines, vertex_count(lines)
+    canvas["stride"] = stride_of(memory)
+    canvas["room"], canvas["unit"] = room_for(lines), unit
+    if region is not None:
+        low, high, bottom = region
+        canvas["bounded"], canvas["low"], canvas["high"] = 1, low, high
+        canvas["bottom"], canvas["middle"] = bottom, (low + high) / 2
+        canvas["held"] = (high - low).max() < (lines - 4 * BLOCK) * stride_of(memory) * memory.cell
+    blocks, rectangles = np.zeros((lines // BLOCK) ** 2, np.int64), np.zeros(4 * room_for(lines))
+    canvas["blocks"], canvas["rectangles"] = blocks.ctypes.data, rectangles.ctypes.data
+    return canvas, blocks, rectangles

@@ -1,10 +1,9 @@
 """Record of a sand's memory over a run, for a video."""
 
-from __future__ import annotations
-
 import zipfile
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Self
 
 import mujoco
 import numpy as np
@@ -61,7 +60,7 @@ class Tracks:
         return {f"prints_{name}": value for name, value in vars(self).items()}
 
     @classmethod
-    def from_arrays(cls, arrays: dict[str, np.ndarray]) -> Tracks:
+    def from_arrays(cls, arrays: dict[str, np.ndarray]) -> Self:
         """Restore the tracks that `arrays` returned."""
         found = cls(*(arrays[name] for name in cls.names()))
         t, end, node, height = found.t, found.end, found.node, found.height
@@ -131,39 +130,34 @@ class Replay:
         self._prints, self._size = prints, memory.size
         self.state = np.zeros(memory.state_size)
         self.time = 0.0
-        count = self._size * self._size
-        arrays = self.state[HEADER:]
-        self._heights = arrays[HEIGHT * count : (HEIGHT + 1) * count]
-        self._keys = arrays[KEY * count : (KEY + 1) * count]
-        self._done = 0  # instants fully applied to the state
-        self._coming: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
+        self._last = np.zeros(memory.state_size)  # the state at the last instant
+        self._done = 0  # instants up to it
 
     def to(self, t: float) -> np.ndarray:
         """Return the state at a time [s], with heights interpolated linearly between instants."""
         prints, self.time = self._prints, t
         done = int(np.searchsorted(prints.t, t, side="right"))
         if done < self._done:
-            self.state[:], self._done, self._coming = 0.0, 0, None
-        if self._coming is not None:
-            places, before, _ = self._coming
-            self._heights[places], self._coming = before, None
+            self._last[:], self._done = 0.0, 0
         while self._done < done:
-            places, keys, heights = self._change(self._done)
-            self._keys[places], self._heights[places] = keys, heights
+            self._change(self._last, self._done, 1.0)
             self._done += 1
+        self.state[:] = self._last
         if 0 < done < len(prints.t):
-            places, keys, heights = self._change(done)
-            before = np.where(self._keys[places] == keys, self._heights[places], 0.0)
-            self._coming = places, before, keys
-            self._keys[places] = keys
             share = (t - prints.t[done - 1]) / (prints.t[done] - prints.t[done - 1])
-            self._heights[places] = before + share * (heights - before)
+            self._change(self.state, done, share)
         return self.state
 
-    def _change(self, number: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return places, keys and heights that an instant changes."""
+    def _change(self, state: np.ndarray, number: int, share: float) -> None:
+        """Apply a share of what an instant changes to the state at the one before."""
         prints, size = self._prints, self._size
         begin = int(prints.end[number - 1]) if number else 0
         i, j = prints.node[begin : int(prints.end[number])].T.astype(np.int64)
         keys = 4.0 * node_keys(i, j)
-        return (i % size) * size + j % size, keys, prints.height[begin : int(prints.end[number])]
+        later, places = prints.height[begin : int(prints.end[number])], (i % size) * size + j % size
+        all_heights, all_keys = (
+            state[HEADER + k * size * size :][: size * size] for k in (HEIGHT, KEY)
+        )
+        before = np.where(all_keys[places] == keys, all_heights[places], 0.0)
+        all_keys[places] = keys
+        all_heights[places] = later if share == 1.0 else before + share * (later - before)

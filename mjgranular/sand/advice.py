@@ -7,14 +7,13 @@ Limits without a source are chosen.
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import mujoco
 import numpy as np
 
 from mjgranular._util.names import name_of
 from mjgranular.errors import (
-    CostWarning,
     FloorWarning,
     GranularWarning,
     MissedStepWarning,
@@ -29,12 +28,11 @@ from mjgranular.law.rft import RftLaw
 from mjgranular.relief.footprint import spread_of
 from mjgranular.relief.memory import REPOSE, Memory
 from mjgranular.relief.relief import frame_of
-from mjgranular.sand.cost import MANY, Cost, coarser
 from mjgranular.sand.material import DEFAULT_MEDIUM, law_named_in
 from mjgranular.sand.spec import SandSpec
-from mjgranular.scheme import Scheme
+from mjgranular.scheme import Explicit, Scheme
 from mjgranular.shape.select import body_name, collides, is_choice, mocap_above, moves
-from mjgranular.shape.sizes import FACETS, LARGEST, geom_name, geom_width, half_extents
+from mjgranular.shape.sizes import FACETS, LARGEST, RESOLUTION, geom_name, geom_width, half_extents
 from mjgranular.surface import Bed, HeightField, Plane, Surface
 from mjgranular.surface.floors import CARRIES, WOULD_CARRY, FloorWatch, describe_floors, find_floors
 
@@ -408,6 +406,45 @@ def link_law(case: Case) -> Iterator[str]:
         )
 
 
+MANY = 20_000
+"""Number of elements above which a warning is given. Chosen: with all of them in the sand a step
+takes twice the two milliseconds that models of robots have for a time step."""
+
+# Per element [s], from docs/benchmarks.md and, for many bodies, benchmarks/meshes.py.
+_ABOVE = 2e-9
+_EXPLICIT = 16e-9
+_IMPLICIT = 0.2e-6
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What the sand adds to a step [s], within a factor of two on today's machines."""
+
+    above: float  # with all elements above the sand
+    within: float  # with all of them in it
+
+    @classmethod
+    def of(cls, count: int, scheme: Scheme) -> Self:
+        """Return the cost of `count` elements."""
+        each = _EXPLICIT if isinstance(scheme, Explicit) else _IMPLICIT
+        return cls(count * _ABOVE, count * each)
+
+    def __str__(self) -> str:
+        above, within = (f"{1e3 * seconds:.1g} ms" for seconds in (self.above, self.within))
+        return f"roughly {above} a step above the sand, {within} with everything in it"
+
+
+def coarser(elements: np.ndarray, resolution: int | None, most: int) -> str:
+    """Return advice on how to get fewer elements, at most `most` of them."""
+    advice = "take fewer geoms"
+    if "normal" not in (elements.dtype.names or ()):
+        return advice
+    # The count grows with its square; edges are cut into an integer number, hence one less.
+    fits = math.floor((resolution or RESOLUTION) * math.sqrt(most / len(elements)))
+    lower = max(2, fits - 1)
+    return f"resolution={lower} would make some {most:,}, or {advice}"
+
+
 def cost(elements: np.ndarray, resolution: int | None, scheme: Scheme) -> Iterator[str]:
     """Check that the number of elements does not make steps slow."""
     if len(elements) > MANY:
@@ -533,9 +570,6 @@ CHECKS = (
 )
 """Checks of a case, made once."""
 
-CHECKS_OF_LAW = ((link_law, GranularWarning),)
-"""Checks of a case whose law has elements for all geoms."""
-
 CHECKS_OF_MEMORY = (
     (cells, GranularWarning),
     (spread, GranularWarning),
@@ -543,7 +577,6 @@ CHECKS_OF_MEMORY = (
 )
 """Checks of a model, the geoms that meet the sand, its surface, and a memory that fits them."""
 
-CHECKS_OF_COST = ((cost, CostWarning),)
 CHECKS_OF_TIME = ((missed_steps, MissedStepWarning),)
 CHECKS_OF_CONTACTS = ((contacts, FloorWarning),)
 CHECKS_OF_DEPTH = ((depth, RangeWarning),)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from mjgranular.errors import InputError
+from mjgranular.errors import GranularWarning, InputError
 from mjgranular.law import Law
 from mjgranular.law.kernel import LawKernel
 from mjgranular.medium import Medium
@@ -50,7 +50,7 @@ def choose_sand(model: mujoco.MjModel, spec: SandSpec) -> ChosenSand:
     case = advice.Case(model, spec, geoms, law, surface, as_memory(spec.memory))
     advice.warn(advice.CHECKS, case)
     elements = elements_of(model, geoms, law, spec.resolution)
-    advice.warn(advice.CHECKS_OF_LAW, case)
+    advice.warn([(advice.link_law, GranularWarning)], case)
     return ChosenSand(
         medium=medium,
         law=law,

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import mujoco
 import numpy as np
 
-from mjgranular.errors import InputError
+from mjgranular.errors import CostWarning, InputError
 from mjgranular.kernel.compiled import program_addresses
 from mjgranular.law import Law, laws, make_scene
 from mjgranular.law.kernel import LawKernel
@@ -57,7 +57,7 @@ def prepare(model: mujoco.MjModel, spec: SandSpec, *, within: bool = False) -> P
         # Within `mj_step` its size was fixed before there was a model (`fitted`).
         memory = memory if within else fitting(model, chosen.geoms, memory)
         surface, footprint = remembering(model, chosen, memory)
-    advice.warn(advice.CHECKS_OF_COST, elements, spec.resolution, scheme)
+    advice.warn([(advice.cost, CostWarning)], elements, spec.resolution, scheme)
     scene = make_scene(law, chosen.medium, surface, model)
     if footprint is not None:
         scene["surface"]["points"] = footprint.points.ctypes.data

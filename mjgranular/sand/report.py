@@ -117,7 +117,7 @@ class ElementTable:
 
 @dataclass(frozen=True)
 class Solver:
-    """Counters of the implicit scheme since the sand met this `MjData`.
+    """Counters of the implicit scheme since the sand met this `MjData` (`scheme.workspace`).
 
     Attributes:
         steps: number of steps in which an element was in the sand.
@@ -135,11 +135,6 @@ class Solver:
     unfinished: int
     residual: float
     worst: float
-
-    @classmethod
-    def of(cls, statistics: np.void) -> Self:
-        """Return the counters from the record that the scheme keeps (`scheme.workspace`)."""
-        return cls(*(statistics[field.name].item() for field in fields(cls)))
 
 
 @dataclass(frozen=True)
@@ -224,8 +219,9 @@ class Report:
     def elements(self) -> tuple[ElementReport, ...]:
         """One report per element, made at the first access."""
         columns = [getattr(self.table, field.name) for field in fields(ElementReport)]
+        columns = [column if column.ndim > 1 else column.tolist() for column in columns]
         return tuple(
-            ElementReport(self.names.geoms[geom], self.names.bodies[body], *_numbers(rest))
+            ElementReport(self.names.geoms[geom], self.names.bodies[body], *rest)
             for geom, body, *rest in zip(*columns, strict=True)
         )
 
@@ -245,7 +241,6 @@ def describe(
     data: mujoco.MjData,
     *,
     sand: PreparedSand,
-    members: list[np.ndarray],
     names: Names,
     binding: Binding,
     gravity: float,
@@ -254,14 +249,14 @@ def describe(
 ) -> Report:
     """Make a report from the contacts that a kernel has just filled in.
 
-    `members` has for each body in the sand the rows of its elements; gravity is a magnitude
-    [m/s^2], and the slope of the surface is in radians.
+    Gravity is a magnitude [m/s^2], and the slope of the surface is in radians.
     """
     table = _element_table(data, sand.elements, binding.contacts, gravity)
     limits, grain = sand.law.validity, sand.medium.grain and sand.medium.grain.value
     findings = sand.law.findings
-    bodies = []
-    for row, mine in zip(binding.bodies, members, strict=True):
+    bodies, first = [], 0
+    for row in binding.bodies:
+        mine, first = np.arange(first, row["end"]), row["end"]
         deepest = mine[np.argmax(table.depth[mine])]
         immersed = mine[table.depth[mine] > 0]
         measures = _measures(table, immersed, gravity=gravity, slope=slope, grain=grain)
@@ -361,10 +356,6 @@ def _measures(
 
 def _size(vector: np.ndarray) -> float:
     return float(np.linalg.norm(vector))
-
-
-def _numbers(values: list[Any]) -> list[Any]:
-    return [value if isinstance(value, np.ndarray) else float(value) for value in values]
 
 
 def _plain(report: Any) -> dict[str, Any]:

@@ -99,11 +99,10 @@ class Sand:
                 f"the model has sand of its own, {self._beside} inside mj_step: step it with "
                 "mj_step and without Sand, or say shared=True if both are to act"
             )
-        self._scheme = sand.scheme
         self._program = sand.program
         self._guarded = entry(guarded_step, "int64(int64, int64, float64)")
         self._finish = entry(finish_step, "int64(int64)")
-        self._lead = self._scheme.lead
+        self._lead = sand.scheme.lead
         self._shared = shared
         self._options = model.opt  # its `timestep` may change between steps
         self._bindings: weakref.WeakKeyDictionary[mujoco.MjData, Binding] = (
@@ -111,8 +110,6 @@ class Sand:
         )
         self._slope, self._pull = sand.surface.tilt(model), model.opt.gravity.copy()
         self._names = Names.of(model, sand.elements)
-        slots = sand.elements["slot"]
-        self._members = [np.flatnonzero(slots == slot) for slot in range(len(np.unique(slots)))]
         self._probes: list[tuple[mujoco.MjData, Binding]] = []
         # The last data and the address of its table: all that a loop over one simulation needs.
         self._recent = _NOBODY
@@ -164,7 +161,7 @@ class Sand:
     @property
     def scheme(self) -> Scheme:
         """The time stepping scheme."""
-        return self._scheme
+        return self._sand.scheme
 
     @property
     def elements(self) -> np.ndarray:
@@ -331,7 +328,7 @@ class Sand:
             binding = bind(model, probe, self._sand)
             binding.table[UPDATE] = 0  # a report leaves the memory unchanged
         lead = 0.0
-        if self._scheme.whole_state:
+        if self._sand.scheme.whole_state:
             lead = self._lead * self._options.timestep
             mujoco.mj_copyState(model, data, probe, _WHOLE_STATE)
             probe.xfrc_applied[:] = self._own_applied(data)
@@ -342,6 +339,7 @@ class Sand:
         binding.bodies["last_wrench"] = np.nan  # what is there now is the user's
         bound = self._bindings.get(data)
         binding.state[:] = 0.0 if bound is None else bound.state
+        counts = None if bound is None else bound.workspace.statistics
         failed = self._guarded(self._program, binding.address, lead)
         if failed != FINE:
             raise self._failure(data, failed, binding)
@@ -353,12 +351,11 @@ class Sand:
         report = describe(
             probe,
             sand=self._sand,
-            members=self._members,
             names=self._names,
             binding=binding,
             gravity=0.0 if weightless else float(np.linalg.norm(pull)),
             slope=self._slope,
-            solver=self._solver(data),
+            solver=None if counts is None else Solver(*counts[0].item()),
         )
         self._probes.append((probe, binding))
         return report
@@ -380,7 +377,7 @@ class Sand:
         """
         geoms = geoms_in_sand(self._model, self._spec)
         self._original.check(self._model, geoms)
-        self._scheme.check(self._model)
+        self._sand.scheme.check(self._model)
         if data is not None:
             self._check_owner(data)
             self._warn_of_missed_steps(data, began=0.0)
@@ -393,13 +390,6 @@ class Sand:
         last = None if bound is None else bound.snapshot.time
         timestep = max(self._last_timestep, self._options.timestep)
         advice.warn(advice.CHECKS_OF_TIME, data.time, last, timestep, began)
-
-    def _solver(self, data: mujoco.MjData) -> Solver | None:
-        """Return the counters of the scheme in this simulation."""
-        bound = self._bindings.get(data)
-        if bound is None or bound.workspace.statistics is None:
-            return None
-        return Solver.of(bound.workspace.statistics[0])
 
     def _own_applied(self, data: mujoco.MjData) -> np.ndarray:
         """Return `xfrc_applied` without what `apply` has left in it."""
@@ -429,7 +419,7 @@ class Sand:
         binding = self._bindings.get(data)
         if binding is None:
             self._check_owner(data)
-            self._scheme.check(self._model)
+            self._sand.scheme.check(self._model)
             binding = bind(self._model, data, self._sand)
             registry_of(data).add(self, self._model, binding, shared=self._shared)
             self._bindings[data] = binding
@@ -449,7 +439,7 @@ class Sand:
         """
         model = self._model
         if failed in REFUSED:
-            return InputError(self._scheme.refusal(failed))
+            return InputError(self._sand.scheme.refusal(failed))
         if binding is None:
             binding = self._bindings[data]
         advice = f"a time step below {self._options.timestep:g} s may do better"

@@ -11,7 +11,7 @@ import numpy as np
 from mjgranular.errors import InputError
 from mjgranular.relief.memory import Memory
 from mjgranular.relief.relief import Relief
-from mjgranular.sand.cost import coarser
+from mjgranular.sand.advice import coarser
 from mjgranular.shape.select import last_dof
 from mjgranular.surface import HeightField, Plane, Surface
 from mjgranular.warp.motions import SLOT_DTYPE

@@ -12,8 +12,7 @@ import pytest
 from mjgranular import Sand, add_sand
 from mjgranular.cli import main
 from mjgranular.errors import CostWarning, PointsWarning
-from mjgranular.sand.advice import find_points
-from mjgranular.sand.cost import MANY, Cost
+from mjgranular.sand.advice import MANY, Cost, find_points
 from mjgranular.scheme import Explicit, Implicit
 from mjgranular.shape import select_geoms
 from mjgranular.shape.sizes import FACETS

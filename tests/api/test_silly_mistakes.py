@@ -773,7 +773,7 @@ def test_after_a_reset_nothing_is_left_of_the_last_step() -> None:
 def test_a_task_that_is_defined_again_takes_its_own_place() -> None:
     pytest.importorskip("gymnasium")
     from mjgranular.envs.link_drop import LinkDrop
-    from mjgranular.envs.tasks import tasks
+    from mjgranular.envs.task import tasks
 
     again = type("LinkDrop", (LinkDrop,), {"__module__": LinkDrop.__module__})
     try:

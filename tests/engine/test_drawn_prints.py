@@ -11,7 +11,8 @@ import pytest
 
 from mjgranular import Bed, HeightField, Memory, Plane, Sand, SandSpec, Surface, add_sand
 from mjgranular.engine import relief_of, show_prints
-from mjgranular.render import Replay, TrackMesh, TrackRecorder, Tracks
+from mjgranular.engine.looks import DrawnSand
+from mjgranular.render import Replay, TrackRecorder, Tracks
 
 CELL = 0.02
 MEMORY = Memory(cell=CELL, extent=1.2)
@@ -206,7 +207,7 @@ def test_a_film_has_prints_where_the_run_had_them() -> None:
             seen[data.time] = sand.relief(data)
         sand.step(data)
     prints = Tracks.from_arrays(recorder.prints().arrays())
-    cover, replay = TrackMesh(model, ground.surface, MEMORY, unit=0.5), Replay(prints, MEMORY)
+    cover, replay = DrawnSand(model, ground.surface, MEMORY, unit=0.5), Replay(prints, MEMORY)
     assert all(relief.height.any() for time, relief in seen.items() if time > 0.06)
     for time, relief in reversed(seen.items()):
         cover.lay(replay.to(time), np.zeros(3))
@@ -261,7 +262,7 @@ def test_what_is_remembered_is_drawn_to_a_meter_away_at_any_cell_size(cell: floa
     model = spec.compile()
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    cover = TrackMesh(model, ground.surface, memory, unit=0.5)
+    cover = DrawnSand(model, ground.surface, memory, unit=0.5)
     cover.lay(replay.to(0.0), np.zeros(3))
     scene = scene_of(model, data)
     vertices = np.array(scene.skinvert).reshape(-1, 3)

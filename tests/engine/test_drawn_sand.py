@@ -10,8 +10,9 @@ import pytest
 
 from mjgranular import Bed, HeightField, Plane, Surface, add_sand
 from mjgranular.engine import tune
+from mjgranular.engine.looks import DrawnSand
 from mjgranular.models import Link
-from mjgranular.render.material import MATERIAL, SandMaterial, radius_of
+from mjgranular.render.material import MATERIAL, radius_of
 
 SAND = {"medium": "quikrete_medium"}
 BLOCK = '<body pos="0 0 0.1"><freejoint/><geom name="g" type="box" size="0.1 0.06 0.04"/></body>'
@@ -62,9 +63,7 @@ def test_the_surface_is_drawn_where_the_sand_acts(plane: Plane) -> None:
     check_plane(geoms, plane)
     # As films of runs with `Sand` have it.
     scene = mujoco.MjvScene(model, 300)
-    look = SandMaterial.of(model, plane.normal, plane.offset, radius_of(model))
-    assert look is not None
-    look.add(scene, plane.normal, plane.offset, data.xipos[1])
+    DrawnSand(model, plane, radius=radius_of(model)).show(scene, data.xipos[1])
     assert len(geoms) == scene.ngeom
     for mine, other in zip(geoms, scene.geoms, strict=False):
         for name in ("size", "pos", "mat", "rgba", "matid", "texid", "texrepeat", "texuniform"):

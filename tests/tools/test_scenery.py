@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from mjgranular import Bed, HeightField, Plane
+from mjgranular.engine.looks import DrawnSand, look_of_plane
 from mjgranular.experiment.drop import Drop, load, run_drop
 from mjgranular.picture.scene import add_arrow
 from mjgranular.picture.video import Film, Motion, frames_of_model
-from mjgranular.render.material import MATERIAL, SandMaterial, radius_of
+from mjgranular.render.material import MATERIAL, radius_of
 from mjgranular.render.scenery import add_daylight, add_scenery
 
 BLOCK = (
@@ -115,9 +116,7 @@ def test_the_plane_is_drawn_where_the_sand_acts(surface, angle):
     model = spec.compile()
     middle = np.array([3.0, -7.0, 0.2])
     scene = mujoco.MjvScene(model, 500)
-    look = SandMaterial.of(model, surface.normal, surface.offset, radius_of(model))
-    assert look is not None
-    look.add(scene, surface.normal, surface.offset, middle)
+    DrawnSand(model, surface, radius=radius_of(model)).show(scene, middle)
     below = np.array([0.0, 0.0, surface.height])
     covered = []
     for geom in scene.geoms[: scene.ngeom]:
@@ -144,12 +143,11 @@ def test_scenery_is_no_geom_and_keeps_the_numbers_of_geoms(tmp_path):
 
 
 def test_ground_of_the_models_own_is_never_in_one_plane_with_the_sand(tmp_path):
-    up = np.array([0.0, 0.0, 1.0])
 
     def lowered(more, **options):
         model, _ = load(Drop(write(tmp_path, more=more), **options))
-        look = SandMaterial.of(model, up, 0.0, radius_of(model))
-        return None if look is None else look.lowered
+        look = look_of_plane(model, Plane(), radius_of(model))
+        return None if look is None else look["lowered"]
 
     table = '<worldbody><geom name="table" type="box" size="0.2 0.2 0.1" pos="0 0 {}"/></worldbody>'
     assert lowered("") == 0
