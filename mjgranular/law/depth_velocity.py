@@ -1,7 +1,5 @@
 """Laws with one force per body, from its depth and its velocity."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ the inertial term, added mass, stagnant sand under flat faces, lateral strength,
 grows with the shear rate (docs/laws/rft.md, docs/validity.md).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 

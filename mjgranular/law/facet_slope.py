@@ -18,8 +18,6 @@ derivative of |p| S(p / |p|) by p: along u it is S, across u the change of S wit
 ramp.
 """
 
-from __future__ import annotations
-
 import math
 from functools import cache, partial
 from typing import Any

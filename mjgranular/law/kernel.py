@@ -5,8 +5,6 @@ action, and other inputs of the force. `respond` computes the force and its deri
 over elements belong to the schemes.
 """
 
-from __future__ import annotations
-
 from collections import namedtuple
 from dataclasses import dataclass
 from functools import cache

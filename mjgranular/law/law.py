@@ -1,7 +1,5 @@
 """The interface of laws, and their registry."""
 
-from __future__ import annotations
-
 import difflib
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -20,7 +18,7 @@ from mjgranular.law.validity import Finding, Limit, findings_of
 from mjgranular.medium import Medium, get_medium
 from mjgranular.surface import Surface
 
-laws: Registry[type[Law]] = Registry("law")
+laws: Registry[type["Law"]] = Registry("law")
 """Law classes by name."""
 
 

@@ -11,8 +11,6 @@ There are two forms: lumped, the paper's own, with one force on the whole rod; a
 the same totals in pure translation but spread along the axis, which also resists rotation.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

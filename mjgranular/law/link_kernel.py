@@ -1,7 +1,5 @@
 """Kernels of the link law, for one rod."""
 
-from __future__ import annotations
-
 import math
 from functools import cache, partial
 from typing import Any, NamedTuple

@@ -12,8 +12,6 @@ conditioned on the way (the primal-dual method of Chan, Golub and Mulet, SIAM J.
 (1999), for the same function in image processing).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import partial

@@ -16,8 +16,6 @@ of a and b only mirror the parallelogram.
 if d > 0.
 """
 
-from __future__ import annotations
-
 import math
 from functools import partial
 

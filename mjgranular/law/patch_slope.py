@@ -4,8 +4,6 @@ For many facets side by side: all branches are evaluated, each quotient is compu
 of branches not taken may be infinite. The caller handles signs: rises are sizes, h the larger.
 """
 
-from __future__ import annotations
-
 import math
 from functools import partial
 

@@ -15,8 +15,6 @@ facet: mu(I) = mu + rate I / (I + I_0) (Jop, Forterre and Pouliquen, Nature 441,
 facet's resistance, xi_n z. The resistance is proportional to the cubic xi_n(mu) (`Rft3dLaw`).
 """
 
-from __future__ import annotations
-
 import math
 from functools import cache, partial
 from typing import Any

@@ -1,7 +1,5 @@
 """Base of the two laws of resistive force theory."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from functools import cache

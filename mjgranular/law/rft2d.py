@@ -1,7 +1,5 @@
 """Two-dimensional resistive force theory of Li, Zhang and Goldman, with an out-of-plane part."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import cache, partial

@@ -1,7 +1,5 @@
 """Two-dimensional resistive force theory with the measured stresses, without a fit."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, fields
 from functools import cache, partial

@@ -1,7 +1,5 @@
 """Three-dimensional resistive force theory of Agarwal, Goldman and Kamrin."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from functools import partial

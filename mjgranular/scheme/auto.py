@@ -1,7 +1,5 @@
 """Automatic choice of the scheme."""
 
-from __future__ import annotations
-
 import logging
 from dataclasses import dataclass
 from typing import ClassVar

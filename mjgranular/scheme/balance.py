@@ -10,8 +10,6 @@ For each body b the sand gives a wrench and minus its derivative by the body's s
 the root like inertias.
 """
 
-from __future__ import annotations
-
 import math
 from functools import partial
 

@@ -4,8 +4,6 @@ Three programs, each compiled once: one for each law and kind of surface finds t
 sand, one for each law has their forces, and all the rest of the scheme calls these by address.
 """
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Any
 

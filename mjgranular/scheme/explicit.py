@@ -8,8 +8,6 @@ half a step, `v + (h/2) a` with `a` the acceleration of the last step (Adams-Bas
 order for the velocity, leapfrog for the position). It costs one sum along the joint chain.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from functools import cache, partial

@@ -1,7 +1,5 @@
 """Forces on tiles of elements, their derivatives, and their sums per body."""
 
-from __future__ import annotations
-
 from functools import cache, partial
 from typing import Any, NamedTuple
 

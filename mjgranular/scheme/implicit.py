@@ -25,8 +25,6 @@ The scheme carries no state from step to step: the force is a function of MuJoCo
 copied, saved or reset states continue identically, to the last bit.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import partial

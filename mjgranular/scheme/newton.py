@@ -7,8 +7,6 @@ sqrt(v^2 + eps^2) p = v. That equation is linearized too, and p is eliminated el
 (`law.kernel`), so that nv equations remain.
 """
 
-from __future__ import annotations
-
 import math
 from collections import namedtuple
 

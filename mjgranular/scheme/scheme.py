@@ -1,7 +1,5 @@
 """The interface of schemes, and their registry."""
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
@@ -17,7 +15,7 @@ from mjgranular.errors import InputError
 from mjgranular.law.kernel import LawKernel
 from mjgranular.scheme.status import refusal
 
-schemes: Registry[type[SchemeChoice]] = Registry("scheme")
+schemes: Registry[type["SchemeChoice"]] = Registry("scheme")
 """Scheme classes by name."""
 
 STEP = "int64(int64, float64)"
@@ -58,7 +56,7 @@ class SchemeChoice(ABC):
     @abstractmethod
     def scheme_for(
         self, model: mujoco.MjModel, elements: int, *, adds_mass: bool = False
-    ) -> Scheme:
+    ) -> "Scheme":
         """Return the scheme for a model, its number of elements, and its law (`Law.adds_mass`)."""
 
     def check(self, model: mujoco.MjModel) -> None:
@@ -137,7 +135,7 @@ class Scheme(SchemeChoice):
 
     def scheme_for(
         self, model: mujoco.MjModel, elements: int, *, adds_mass: bool = False
-    ) -> Scheme:
+    ) -> "Scheme":
         return self
 
     def workspace(

@@ -14,8 +14,6 @@ Newton's method finds nearly all velocities. Where it diverges, forces are treat
 (`scheme.damping`) until it converges; if it never does, the step uses that damping.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -4,8 +4,6 @@ Options may change between any two steps, for example in a viewer. A scheme that
 them reports that before it computes anything.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from functools import partial

@@ -5,8 +5,6 @@ of MuJoCo's structs keep MuJoCo's names. The record is made once for each `MjDat
 allocates.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import mujoco

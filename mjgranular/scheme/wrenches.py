@@ -1,7 +1,5 @@
 """Parts of every scheme's program: poses of bodies, and `xfrc_applied`."""
 
-from __future__ import annotations
-
 import math
 from functools import partial
 
