@@ -86,16 +86,14 @@ class Law(ABC):
         Raises:
             InputError: a field is not a finite number.
         """
-        names = [field.name for field in fields(self)]  # pyright: ignore[reportArgumentType]
-        parameters = np.zeros(1, np.dtype([(name, np.float64) for name in names]))
-        for name in names:
-            value = getattr(self, name)
+        known = fields(self)  # pyright: ignore[reportArgumentType]
+        numbers = {field.name: getattr(self, field.name) for field in known}
+        for name, value in numbers.items():
             if not is_finite(value):
                 raise InputError(
                     f"{type(self).__name__}: {name} must be a finite number, not {shown(value)}"
                 )
-            parameters[name] = value
-        return parameters
+        return record_of(**numbers)
 
     def check_not_negative(self, *names: str) -> None:
         """Check that fields are finite and not negative."""
@@ -125,6 +123,15 @@ class Law(ABC):
         The same as `kernel` unless a law has shorter ones.
         """
         return self.kernel(surface)
+
+
+def record_of(**numbers: Any) -> np.ndarray:
+    """Return numbers and arrays of numbers as a record, as kernels read it: shape (1,)."""
+    kinds = [(name, np.float64, np.shape(value)) for name, value in numbers.items()]
+    record = np.zeros(1, np.dtype(kinds))
+    for name, value in numbers.items():
+        record[name] = value
+    return record
 
 
 LawClass = TypeVar("LawClass", bound=type[Law])

@@ -54,15 +54,6 @@ def multiplier_of(v, eps):
 
 
 @partial(compiled, inline=True)
-def next_multiplier(v, p, c, eps):
-    """Return the multiplier after a Newton step: see `Multiplier.update`."""
-    scale = softened(dot(v, v), eps)
-    q = scale * (v + c - (dot(v, c) * scale) * p)
-    square = dot(q, q)
-    return q if square <= 1.0 else (1.0 / math.sqrt(square)) * q
-
-
-@partial(compiled, inline=True)
 def own(sample, v, eps):
     """Compute `Multiplier.own` for one limit."""
     return multiplier_of(v, eps)
@@ -71,7 +62,10 @@ def own(sample, v, eps):
 @partial(compiled, inline=True)
 def update(sample, v, p, c, eps):
     """Compute `Multiplier.update` for one limit."""
-    return next_multiplier(v, p, c, eps)
+    scale = softened(dot(v, v), eps)
+    q = scale * (v + c - (dot(v, c) * scale) * p)
+    square = dot(q, q)
+    return q if square <= 1.0 else (1.0 / math.sqrt(square)) * q
 
 
 @partial(compiled, inline=True)
@@ -104,8 +98,8 @@ def split_update(sample, v, p, c, eps):
     """Compute `Multiplier.update` for two limits."""
     n = sample.normal
     v_n, p_n, c_n = dot(v, n) * n, dot(p, n) * n, dot(c, n) * n
-    along = next_multiplier(v_n, p_n, c_n, eps)
-    return along + next_multiplier(v - v_n, p - p_n, c - c_n, eps)
+    along = update(sample, v_n, p_n, c_n, eps)
+    return along + update(sample, v - v_n, p - p_n, c - c_n, eps)
 
 
 @partial(compiled, inline=True)

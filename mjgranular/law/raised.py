@@ -19,7 +19,6 @@ import math
 from functools import cache, partial
 from typing import Any
 
-import numpy as np
 from numpy.polynomial import Polynomial
 
 from mjgranular.kernel.compiled import compiled
@@ -34,6 +33,9 @@ INERTIAL_NUMBER = 0.279
 RATE = 0.26
 """Rise of friction from slow flow to fast: of glass beads, tan 32.76 - tan 20.9 degrees, ibid."""
 
+SHEAR_KEYS = ("shear", "rate_1", "rate_2", "rate_3")
+"""Fields of a law's record that fast shear needs (`shear_constants`)."""
+
 _GROWTH = 0.1  # depth over which the cone forms, in widths; chosen
 _PACKING = 0.59  # solid fraction of a loose bed: of the beds of `referee`
 _NO_STRESS = 1e-9  # stress that counts as zero [Pa]; chosen
@@ -44,7 +46,7 @@ def cone_under(friction: float) -> float:
     return math.tan(math.pi / 4 + math.atan(friction) / 2) / 6
 
 
-def shear_constants(density: float, grain: float, friction: float, rate: float) -> np.ndarray:
+def shear_constants(density: float, grain: float, friction: float, rate: float) -> dict[str, float]:
     """Return what the kernel reads: d sqrt(rho_s) [kg^(1/2) m^(-1/2)], and three factors.
 
     xi_n(mu + s rate) / xi_n(mu) = 1 + s (a + s (b + s c)) with s = I / (I + I_0). The density of
@@ -52,10 +54,10 @@ def shear_constants(density: float, grain: float, friction: float, rate: float) 
     """
     whole = FRICTION_CUBIC(friction)
     if not (rate > 0 and whole > 0):
-        return np.zeros(4)
+        return dict.fromkeys(SHEAR_KEYS, 0.0)
     size = grain * math.sqrt(density / _PACKING)
     rise = FRICTION_CUBIC(Polynomial([friction, rate])) / whole  # Taylor coefficients by s
-    return np.array([size, *rise.coef[1:]])
+    return dict(zip(SHEAR_KEYS, (size, *rise.coef[1:]), strict=True))
 
 
 @partial(compiled, inline=True)
