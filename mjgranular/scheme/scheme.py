@@ -13,7 +13,7 @@ from mjgranular._util.parse import read_part
 from mjgranular._util.registry import Registry
 from mjgranular.errors import InputError
 from mjgranular.law.kernel import LawKernel
-from mjgranular.scheme.status import refusal
+from mjgranular.scheme.status import BAD_METRIC, BAD_SOLVER, BAD_TIMESTEP, LONG_TIMESTEP
 
 schemes: Registry[type["SchemeChoice"]] = Registry("scheme")
 """Scheme classes by name."""
@@ -88,11 +88,29 @@ class Scheme(SchemeChoice):
 
     def refusal(self, status: int) -> str:
         """Say why the program returned a status of `scheme.status.REFUSED`, and what to change."""
+        if status == BAD_TIMESTEP:
+            return "the time step of the model (opt.timestep) must be a positive number"
+        if status == LONG_TIMESTEP:
+            return (
+                f"the explicit scheme was chosen for time steps up to {self.step_limit:g} s, and "
+                "that of the model (opt.timestep) is longer now: prepare the sand anew, or with "
+                "scheme='implicit'"
+            )
+        if status == BAD_SOLVER:
+            return (
+                "the constraint solver of the model (opt.solver) is none that MuJoCo has: set it "
+                "to PGS, CG or Newton"
+            )
+        if status == BAD_METRIC:
+            return (
+                "with the integrator discrete the implicit scheme foresees the constraint solvers "
+                "Newton and CG (opt.solver), without the flag ipc (opt.enableflags): set these, "
+                "another integrator, or scheme='explicit'"
+            )
         *first, last = (_SPELLED.get(name, name.lower()) for name in self.integrators)
-        return refusal(
-            status,
-            longest_step=self.step_limit,
-            integrators=f"{', '.join(first)} or {last}",
+        return (
+            "the sand cannot be stepped with the integrator that the model has now "
+            f"(opt.integrator; RK4 is such a one): set it to {', '.join(first)} or {last}"
         )
 
     @property

@@ -65,30 +65,3 @@ def bits_of(integrators: Iterable[str]) -> int:
     """Return a bit mask of the given integrators that this MuJoCo has."""
     known = mujoco.mjtIntegrator.__members__
     return sum(1 << int(known[f"mjINT_{name}"]) for name in integrators if f"mjINT_{name}" in known)
-
-
-def refusal(status: int, *, longest_step: float, integrators: str) -> str:
-    """Say for one of `REFUSED` what is wrong with a model's options, and what would be right."""
-    if status == BAD_TIMESTEP:
-        return "the time step of the model (opt.timestep) must be a positive number"
-    if status == LONG_TIMESTEP:
-        return (
-            f"the explicit scheme was chosen for time steps up to {longest_step:g} s, and that of "
-            "the model (opt.timestep) is longer now: prepare the sand anew, or with "
-            "scheme='implicit'"
-        )
-    if status == BAD_SOLVER:
-        return (
-            "the constraint solver of the model (opt.solver) is none that MuJoCo has: set it to "
-            "PGS, CG or Newton"
-        )
-    if status == BAD_METRIC:
-        return (
-            "with the integrator discrete the implicit scheme foresees the constraint solvers "
-            "Newton and CG (opt.solver), without the flag ipc (opt.enableflags): set these, "
-            "another integrator, or scheme='explicit'"
-        )
-    return (
-        "the sand cannot be stepped with the integrator that the model has now (opt.integrator; "
-        f"RK4 is such a one): set it to {integrators}"
-    )

@@ -1,7 +1,6 @@
 """Parts of every scheme's program: poses of bodies, and `xfrc_applied`."""
 
 import math
-from functools import partial
 
 import mujoco
 
@@ -65,7 +64,17 @@ def gravity_of(table):
     return math.sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2])
 
 
-@partial(compiled, inline=True)
+@compiled
+def row_of_body(table, body):
+    """Return a body's row of `xfrc_applied`; and whether it holds what the last call wrote."""
+    first, untouched = 6 * body.body, True
+    row = floats(table[XFRC], 6 * table[NBODY])[first : first + 6]
+    for k in range(6):
+        untouched = untouched and row[k] == body.last_wrench[k]
+    return row, untouched
+
+
+@compiled
 def add_wrenches(table):
     """Add the bodies' wrenches to `xfrc_applied`, and remove those of the last call.
 
@@ -76,14 +85,7 @@ def add_wrenches(table):
     """
     if table[XFRC] == 0:
         return -1
-    return write_wrenches(table)
-
-
-@compiled
-def write_wrenches(table):
-    """Do the work of `add_wrenches`."""
     bodies = bodies_of(table)
-    xfrc = floats(table[XFRC], 6 * table[NBODY])
     for slot in range(len(bodies)):
         total = 0.0
         for k in range(6):
@@ -92,10 +94,7 @@ def write_wrenches(table):
             return slot
     for slot in range(len(bodies)):
         body = bodies[slot]
-        row = xfrc[6 * body.body : 6 * body.body + 6]
-        untouched = True
-        for k in range(6):
-            untouched = untouched and row[k] == body.last_wrench[k]
+        row, untouched = row_of_body(table, body)
         for k in range(6):
             if not untouched:
                 body.user_wrench[k] = row[k]
@@ -144,13 +143,9 @@ def withdraw_wrenches(table):
     if table[XFRC] == 0:
         return
     bodies = bodies_of(table)
-    xfrc = floats(table[XFRC], 6 * table[NBODY])
     for slot in range(len(bodies)):
         body = bodies[slot]
-        row = xfrc[6 * body.body : 6 * body.body + 6]
-        untouched = True
-        for k in range(6):
-            untouched = untouched and row[k] == body.last_wrench[k]
+        row, untouched = row_of_body(table, body)
         if untouched:
             for k in range(6):
                 row[k] = body.user_wrench[k]
