@@ -63,16 +63,11 @@ class Law(ABC):
     def elements(
         self, model: mujoco.MjModel, geoms: Sequence[int], resolution: int | None = None
     ) -> np.ndarray:
-        """Return the elements that the law acts on.
+        """Return the elements that the law acts on, of geoms that meet the sand.
 
-        Args:
-            model: the model.
-            geoms: ids of the geoms that meet the sand.
-            resolution: how finely they are divided, in the law's own measure; None for its default.
-
-        Returns:
-            A structured array, body by body, with fields `geom`, `body`, `slot` (the row of the
-                body among those in the sand) and `width` (for Froude numbers [m]).
+        They are a structured array, body by body, with fields `geom`, `body`, `slot` (the row of
+        the body among those in the sand) and `width` (for Froude numbers [m]). The resolution is
+        how finely geoms are divided, in the law's own measure; None for its default.
 
         Raises:
             InputError: the law has no elements for some geoms.
@@ -140,11 +135,8 @@ LawClass = TypeVar("LawClass", bound=type[Law])
 def register_law(law: LawClass, *, replace: bool = False) -> LawClass:
     """Register a class of laws by its `name` in this process; can be used as a decorator.
 
-    A class that is defined again, as in a cell of a notebook, replaces the old one.
-
-    Args:
-        law: the class.
-        replace: let it replace another law of that name.
+    A class that is defined again, as in a cell of a notebook, replaces the old one; with `replace`
+    it replaces any other law of that name.
 
     Raises:
         InputError: another law has that name, or `law` is not a class of laws.

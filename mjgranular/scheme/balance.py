@@ -159,12 +159,6 @@ def crossed(v, axis):
     return Motion(cross(v.angular, axis.angular), linear)
 
 
-@partial(compiled, inline=True)
-def motion_of(w, body):
-    """Return the spatial velocity of a body, as set by `find_motions`."""
-    return read_motion(w.motion[body], 0)
-
-
 @compiled
 def size_of(w, momentum):
     """Return the size of a momentum: the square root of about twice its energy."""

@@ -124,11 +124,8 @@ class Scheme(SchemeChoice):
 
         Called as `program(address, lead)` with the address of the simulation's table
         (`kernel.memory`) and the lead in seconds; it returns one of `scheme.status`, or the row of
-        the first body whose wrench is not finite.
-
-        Args:
-            kernel: kernel of the law.
-            scene: record with the fields `law`, made by its `parameters`, and `surface`.
+        the first body whose wrench is not finite. A scene is a record with the fields `law`, made
+        by its `parameters`, and `surface`.
         """
 
     def sampling(self, kernel: LawKernel, scene: np.dtype) -> Any:
@@ -144,10 +141,6 @@ class Scheme(SchemeChoice):
 
         It is the same for all surfaces, as `program` is then for all laws, so each is compiled
         once. Its address is in the table (`kernel.memory.LAW`).
-
-        Args:
-            kernel: kernel of the law.
-            scene: see `program`.
         """
         return None
 
@@ -167,12 +160,7 @@ class Scheme(SchemeChoice):
     ) -> Workspace:
         """Allocate the memory that the program needs in one simulation, if any.
 
-        Args:
-            model: the model.
-            data: the simulation.
-            elements: elements of the law.
-            kernel: kernel of the law.
-            within: whether the program runs among MuJoCo's passive forces, inside its step.
+        `within` is whether it runs among MuJoCo's passive forces, inside its step.
         """
         return Workspace(np.zeros(0, np.int64))
 
