@@ -3,7 +3,7 @@
 import difflib
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import MISSING, fields
+from dataclasses import MISSING, fields, replace
 from typing import Any, ClassVar, Self, TypeVar
 
 import mujoco
@@ -202,8 +202,8 @@ def get_law(law: str | Law | type[Law] | None, medium: Medium) -> Law:
     known = fields(cls)  # pyright: ignore[reportArgumentType]
     if {field.name for field in known if field.default is MISSING} <= given.keys():
         return cls(**given)
-    made = cls.from_medium(medium)
-    return cls(**{**{field.name: getattr(made, field.name) for field in known}, **given})
+    made: Any = cls.from_medium(medium)
+    return replace(made, **given)
 
 
 def law_in(text: str) -> tuple[type[Law], dict[str, Any]]:

@@ -237,8 +237,7 @@ def heap(state, relief, first, volume):
     state[grid.WAITING] = volume - found * area * share
 
 
-REST = 5e-3
-"""Slope that may remain above that of repose: 0.2 degrees. Chosen."""
+REST = 5e-3  # slope that may remain above that of repose: 0.2 degrees; chosen
 
 
 # Below, a and b are the slopes of a triangle along the first and the second axis of the plane, `up`
@@ -421,8 +420,7 @@ STILL = 1e-3
 """How far a surface point may move until bodies press again [cells], while nothing flows. Chosen: a
 tenth of the height that is not pressed down at once (`LEAST`)."""
 
-FASTEST = 1.5
-"""Greatest rate of flow. Chosen below 2, where sand would not come to rest."""
+FASTEST = 1.5  # greatest rate of flow; chosen below 2, where sand would not come to rest
 
 
 @partial(compiled, inline=True)

@@ -18,8 +18,7 @@ from mjgranular.scheme.status import BAD_METRIC, BAD_SOLVER, BAD_TIMESTEP, LONG_
 schemes: Registry[type["SchemeChoice"]] = Registry("scheme")
 """Scheme classes by name."""
 
-STEP = "int64(int64, float64)"
-"""Signature of the program of a scheme."""
+STEP = "int64(int64, float64)"  # signature of the program of a scheme
 
 FORCES = "float64(int64, int64, float64, int64, float64)"
 """Signature of the program of a law (`Scheme.forces`)."""

@@ -14,18 +14,12 @@ from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.memory import INTEGRATORS, LONGEST_STEP
 from mjgranular.kernel.options import options_at
 
-FINE = -1
-"""Success."""
-BAD_STATE = -2
-"""MuJoCo has found numbers in the state that are not finite."""
-BAD_TIMESTEP = -3
-"""The time step is not a positive number."""
-LONG_TIMESTEP = -4
-"""The time step is longer than the scheme was chosen for."""
-BAD_INTEGRATOR = -5
-"""The scheme cannot step with this integrator."""
-BAD_SOLVER = -6
-"""The engine does not have this constraint solver: it would end the process."""
+FINE = -1  # success
+BAD_STATE = -2  # MuJoCo has found numbers in the state that are not finite
+BAD_TIMESTEP = -3  # the time step is not a positive number
+LONG_TIMESTEP = -4  # the time step is longer than the scheme was chosen for
+BAD_INTEGRATOR = -5  # the scheme cannot step with this integrator
+BAD_SOLVER = -6  # the engine does not have this constraint solver: it would end the process
 BAD_METRIC = -7
 """The integrator `discrete` with options that the implicit scheme does not predict."""
 

@@ -14,8 +14,7 @@ from mjgranular.errors import InputError, UnknownNameError
 Choice = Sequence[str | int] | str | int | None
 """Selection of bodies or geoms: a name or id, or several; None for no selection."""
 
-EVERY = "all"
-"""Name for every body or geom that can meet the sand, unless one has this name."""
+EVERY = "all"  # name for every body or geom that can meet the sand, unless one has this name
 
 
 def select_geoms(
