@@ -142,7 +142,7 @@ class DepthVelocityLaw(Law):
 
     @classmethod
     def katsuragi_durian(cls, *, mass: float, stiffness: float, drag_length: float) -> Self:
-        """Return F = k z + m v^2 / d1: spheres of a mass m [kg], with k [N/m] and d1 [m]."""
+        """Return F = k z + m v^2 / d1, spheres: mass m [kg], stiffness k [N/m], length d1 [m]."""
         if not drag_length > 0:
             raise InputError(f"the drag length d1 must be positive, not {drag_length} m")
         return cls(stiffness=stiffness, quadratic=mass / drag_length)

@@ -154,6 +154,7 @@ def link_kernel(limits: Any, probe: Any, ceiling: Any = None, lanes: int = 1) ->
     )
 
 
+@dataclass(frozen=True)
 class _LinkForm(Law):
     """Base of both forms of the law: coefficients, and a kernel over rods."""
 
@@ -164,6 +165,11 @@ class _LinkForm(Law):
     validity: ClassVar[tuple[Limit, ...]] = (
         Limit("slope", math.radians(10), "written for a level surface; 10 degrees is chosen"),
     )
+
+    eta_d: float
+    eta_h: float
+    eta_v: float
+    exponent: float
 
     def __post_init__(self) -> None:
         self.check_not_negative(*LINK_KEYS)
@@ -208,11 +214,6 @@ class LinkLaw(_LinkForm):
     citation: ClassVar[str] = _LINK_PAPER
     limits: ClassVar[Any] = lumped_limits
 
-    eta_d: float
-    eta_h: float
-    eta_v: float
-    exponent: float
-
     def elements(
         self, model: mujoco.MjModel, geoms: Sequence[int], resolution: int | None = None
     ) -> np.ndarray:
@@ -249,10 +250,6 @@ class DistributedLinkLaw(_LinkForm):
     citation: ClassVar[str] = f"{_LINK_PAPER}; differentiated along the axis"
     limits: ClassVar[Any] = distributed_limits
 
-    eta_d: float
-    eta_h: float
-    eta_v: float
-    exponent: float
     pieces: int = 20
 
     def __post_init__(self) -> None:

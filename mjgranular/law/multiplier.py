@@ -23,21 +23,17 @@ from mjgranular.kernel.vector import diagonal, dot, outer
 
 @dataclass(frozen=True)
 class Multiplier:
-    """Kernels of a sample, its velocity v [m/s], its multiplier p and the softness eps [m/s].
+    """Kernels of a sample, its velocity v [m/s], its multiplier p and the softness eps [m/s]."""
 
-    Attributes:
-        own: kernel `own(sample, v, eps)`: the multiplier of a velocity.
-        update: kernel `update(sample, v, p, c, eps)`: the multiplier after a Newton step that
-            changes the velocity by `c`, limited to a size of one.
-        by_velocity: kernel `by_velocity(sample, v, p, eps)`: the derivative of the multiplier used
-            in such a step, a matrix.
-        turn: kernel `turn(sample, v, c, eps)`: the square of a change `c` of the velocity, relative
-            to the speeds over which the multiplier turns.
-    """
-
-    own: Any
+    own: Any  # `own(sample, v, eps)`: the multiplier of a velocity
+    # `update(sample, v, p, c, eps)`: the multiplier after a Newton step that changes the velocity
+    # by `c`, limited to a size of one.
     update: Any
+    # `by_velocity(sample, v, p, eps)`: the derivative of the multiplier used in such a step, a
+    # matrix.
     by_velocity: Any
+    # `turn(sample, v, c, eps)`: the square of a change `c` of the velocity, relative to the speeds
+    # over which the multiplier turns.
     turn: Any
 
 

@@ -28,17 +28,12 @@ _SPELLED = {"EULER": "Euler"}
 
 @dataclass(frozen=True)
 class Workspace:
-    """Memory of a scheme for one simulation, allocated once, so that no step allocates.
+    """Memory of a scheme for one simulation, allocated once, so that no step allocates."""
 
-    Attributes:
-        record: sizes and addresses, as the scheme's program reads them; words of 8 bytes.
-        arrays: by name, those whose addresses are in the record, to be kept alive.
-        statistics: what the program counts, by name; see the scheme.
-    """
-
-    record: np.ndarray
+    record: np.ndarray  # sizes and addresses, as the scheme's program reads them; words of 8 bytes
+    # By name, those whose addresses are in the record, to be kept alive.
     arrays: Mapping[str, np.ndarray] = field(default_factory=dict)
-    statistics: np.ndarray | None = None
+    statistics: np.ndarray | None = None  # what the program counts, by name; see the scheme
 
 
 class SchemeChoice(ABC):
