@@ -16,8 +16,7 @@ facet's resistance, xi_n z. The resistance is proportional to the cubic xi_n(mu)
 """
 
 import math
-from functools import cache, partial
-from typing import Any
+from functools import partial
 
 from numpy.polynomial import Polynomial
 
@@ -66,38 +65,27 @@ def not_raised(law, facet, pose, centre, normal, up, mean, g):
     return 1.0
 
 
-@cache
-def raised_kernel(rate: bool) -> Any:
-    """Make a kernel `raised(law, facet, pose, centre, normal, up, mean, g)`: the factor.
+@partial(compiled, inline=True)
+def raised_by_cone(law, facet, pose, centre, normal, up, mean, g):
+    """Return the factor of stagnant sand; the law's record has `cone` [widths]."""
+    down = -dot(normal, up)
+    least = _GROWTH * facet.face
+    deep = choose(mean > least, mean, least)
+    return 1.0 + law.cone * facet.flat * facet.face * choose(down > 0.0, down, 0.0) / deep
 
-    The law's record has `cone` [widths]; with fast shear (`rate`) also `stiffness`, xi_n / g
-    [kg/m^3], and `shear` and `rate_1` to `rate_3` (`shear_constants`).
+
+@partial(compiled, inline=True)
+def raised_by_shear(law, facet, pose, centre, normal, up, mean, g):
+    """Return the factor of stagnant sand and of fast shear.
+
+    The record also has `stiffness`, xi_n / g [kg/m^3], and `shear` and `rate_1` to `rate_3`
+    (`shear_constants`).
     """
-
-    @partial(compiled, inline=True)
-    def stagnant(law, facet, normal, up, mean):
-        down = -dot(normal, up)
-        least = _GROWTH * facet.face
-        deep = choose(mean > least, mean, least)
-        return 1.0 + law.cone * facet.flat * facet.face * choose(down > 0.0, down, 0.0) / deep
-
-    if not rate:
-
-        @partial(compiled, inline=True)
-        def raised(law, facet, pose, centre, normal, up, mean, g):
-            return stagnant(law, facet, normal, up, mean)
-
-        return raised
-
-    @partial(compiled, inline=True)
-    def raised_by_shear(law, facet, pose, centre, normal, up, mean, g):
-        standing = stagnant(law, facet, normal, up, mean)
-        stress = law.stiffness * g * mean * standing
-        stress = choose(stress > _NO_STRESS, stress, _NO_STRESS)
-        v = velocity_at(pose.motion, centre - pose.tree)
-        per = law.shear / facet.face
-        number = root(per * per * dot(v, v) / stress)
-        s = number / (number + INERTIAL_NUMBER)
-        return standing * (1.0 + s * (law.rate_1 + s * (law.rate_2 + s * law.rate_3)))
-
-    return raised_by_shear
+    standing = raised_by_cone(law, facet, pose, centre, normal, up, mean, g)
+    stress = law.stiffness * g * mean * standing
+    stress = choose(stress > _NO_STRESS, stress, _NO_STRESS)
+    v = velocity_at(pose.motion, centre - pose.tree)
+    per = law.shear / facet.face
+    number = root(per * per * dot(v, v) / stress)
+    s = number / (number + INERTIAL_NUMBER)
+    return standing * (1.0 + s * (law.rate_1 + s * (law.rate_2 + s * law.rate_3)))

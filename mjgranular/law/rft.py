@@ -15,7 +15,7 @@ from mjgranular.law.facet import facet_kernel
 from mjgranular.law.kernel import LawKernel
 from mjgranular.law.lateral import lateral_slope
 from mjgranular.law.law import Law, record_of
-from mjgranular.law.raised import not_raised, raised_kernel
+from mjgranular.law.raised import not_raised, raised_by_cone, raised_by_shear
 from mjgranular.law.validity import Finding, Limit, findings_of
 from mjgranular.shape import facets_from_model
 from mjgranular.surface import Surface
@@ -88,8 +88,9 @@ class RftLaw(Law):
     @property
     def raised(self) -> Any:
         """Return the kernel of the factor on static resistance (`law.raised`)."""
-        sheared = self.rate > 0 and self.grain > 0
-        return raised_kernel(sheared) if self.cone > 0 or sheared else not_raised
+        if self.rate > 0 and self.grain > 0:
+            return raised_by_shear
+        return raised_by_cone if self.cone > 0 else not_raised
 
     def check_options(self, *more: str) -> None:
         """Check the options; `more` names other numbers that must not be negative."""
