@@ -1,7 +1,7 @@
 """The lumped link law in NumPy: cost of sand without compiled kernels.
 
 For the planar link of `mjgranular.models` on the plane z = 0; the same formulas as in
-`mjgranular.law.link_kernel`, in a few dozen lines of straightforward NumPy.
+`mjgranular.law.link`, in a few dozen lines of straightforward NumPy.
 """
 
 from __future__ import annotations

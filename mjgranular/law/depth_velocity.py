@@ -1,7 +1,5 @@
 """Laws with one force per body, from its depth and its velocity."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -144,13 +142,7 @@ class DepthVelocityLaw(Law):
 
     @classmethod
     def katsuragi_durian(cls, *, mass: float, stiffness: float, drag_length: float) -> Self:
-        """Return F = k z + m v^2 / d1: spheres.
-
-        Args:
-            mass: mass of the sphere, m [kg].
-            stiffness: k [N/m].
-            drag_length: d1 [m].
-        """
+        """Return F = k z + m v^2 / d1, spheres: mass m [kg], stiffness k [N/m], length d1 [m]."""
         if not drag_length > 0:
             raise InputError(f"the drag length d1 must be positive, not {drag_length} m")
         return cls(stiffness=stiffness, quadratic=mass / drag_length)

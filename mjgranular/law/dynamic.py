@@ -5,8 +5,6 @@ the inertial term, added mass, stagnant sand under flat faces, lateral strength,
 grows with the shear rate (docs/laws/rft.md, docs/validity.md).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
@@ -22,8 +20,7 @@ from mjgranular.medium import Medium, get_medium
 INERTIA = 1.1
 """lambda: S. Agarwal, A. Karsai, D. I. Goldman, K. Kamrin, Sci. Adv. 7 eabe0631 (2021)."""
 
-ADDED = 2.5
-"""kappa: chosen by two drops of a ball in simulated grains (docs/validity.md)."""
+ADDED = 2.5  # kappa: chosen by two drops of a ball in simulated grains (docs/validity.md)
 
 FRICTION = 0.6
 """Internal friction for the cone, if a law has none: that of dry sands, 31 degrees; chosen."""

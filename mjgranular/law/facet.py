@@ -1,7 +1,5 @@
 """Kernels of laws of surface elements, for one facet."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from functools import cache, partial

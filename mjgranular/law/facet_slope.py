@@ -4,7 +4,7 @@ A stress that depends on the outward normal n, the direction of motion u and the
 lies in their span, `s (alpha n + beta u + gamma z)`, and the factors depend only on the cosines
 between the three. So a law that gives the factors with their nine partial derivatives (its `slope`)
 is sufficient. The rest depends on the facet: its leading part has a load and a centroid, and
-therefore a normal, that change with u (`patch_slope`).
+therefore a normal, that change with u (`patch`).
 
 The derivative is a sum of few columns, each times the gradient of one number,
 
@@ -18,16 +18,13 @@ derivative of |p| S(p / |p|) by p: along u it is S, across u the change of S wit
 ramp.
 """
 
-from __future__ import annotations
-
 import math
 from functools import cache, partial
 from typing import Any
 
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.vector import across, cross, diagonal, dot, norm, outer, vector
-from mjgranular.law.patch import leading_part, wet_part
-from mjgranular.law.patch_slope import leading_slope, wet_slope
+from mjgranular.law.patch import leading_part, leading_slope, wet_part, wet_slope
 
 # In the search for the velocity at the end of a step, a flat face begins to lead over directions
 # within this sine of its plane on either side. Chosen: the search needs a slope where the law is

@@ -5,9 +5,6 @@ action, and other inputs of the force. `respond` computes the force and its deri
 over elements belong to the schemes.
 """
 
-from __future__ import annotations
-
-from collections import namedtuple
 from dataclasses import dataclass
 from functools import cache
 from typing import Any, NamedTuple
@@ -17,41 +14,34 @@ import numpy as np
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.fields import packed
 from mjgranular.kernel.lanes import aligned
-from mjgranular.kernel.vector import Vector, transposed
+from mjgranular.kernel.motion import Motion
+from mjgranular.kernel.vector import Matrix, Vector, transposed
 from mjgranular.law.multiplier import ONE_LIMIT, Multiplier
 
-Pose = namedtuple("Pose", ["position", "rotation", "com", "tree", "motion"])
-Pose.__doc__ = """Pose and motion of a body, world axes.
 
-Attributes:
-    position: of the body's frame [m], a vector.
-    rotation: of the body's frame, a matrix: `rotation @ v` is in the world.
-    com: center of mass of the body [m].
-    tree: center of mass of its kinematic tree [m], the center of `motion`.
-    motion: spatial velocity (`kernel.motion.Motion`).
-"""
+class Pose(NamedTuple):
+    """Pose and motion of a body, world axes."""
 
-Level = namedtuple("Level", ["normal", "depth"])
-Level.__doc__ = """A plane of sand in the frame of a body.
+    position: Vector  # of the body's frame [m]
+    rotation: Matrix  # of the body's frame: `rotation @ v` is in the world
+    com: Vector  # center of mass of the body [m]
+    tree: Vector  # center of mass of its kinematic tree [m], the center of `motion`
+    motion: Motion  # spatial velocity
 
-Attributes:
-    normal: of the plane, a vector.
-    depth: of the frame's origin [m].
-"""
+
+class Level(NamedTuple):
+    """A plane of sand in the frame of a body."""
+
+    normal: Vector
+    depth: float  # of the frame's origin [m]
 
 
 class AddedMass(NamedTuple):
-    """Sand that moves with an element, as a mass in one direction.
+    """Sand that moves with an element, as a mass in one direction."""
 
-    Attributes:
-        mass: mass at the element's place at the start of the step [kg].
-        before: part of it that was there one step ago [kg]; the rest was at rest.
-        normal: direction, a unit vector, world.
-    """
-
-    mass: float
-    before: float
-    normal: Vector
+    mass: float  # at the element's place at the start of the step [kg]
+    before: float  # part of it that was there one step ago [kg]; the rest was at rest
+    normal: Vector  # direction, a unit vector, world
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,6 @@ motion and level faces are unchanged. The brackets are chosen, by dragged bodies
 grains, legs and a robot (docs/laws/rft.md).
 """
 
-from __future__ import annotations
-
 import math
 from functools import cache, partial
 from typing import Any

@@ -1,11 +1,9 @@
 """The interface of laws, and their registry."""
 
-from __future__ import annotations
-
 import difflib
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import MISSING, fields
+from dataclasses import MISSING, fields, replace
 from typing import Any, ClassVar, Self, TypeVar
 
 import mujoco
@@ -20,7 +18,7 @@ from mjgranular.law.validity import Finding, Limit, findings_of
 from mjgranular.medium import Medium, get_medium
 from mjgranular.surface import Surface
 
-laws: Registry[type[Law]] = Registry("law")
+laws: Registry[type["Law"]] = Registry("law")
 """Law classes by name."""
 
 
@@ -65,16 +63,11 @@ class Law(ABC):
     def elements(
         self, model: mujoco.MjModel, geoms: Sequence[int], resolution: int | None = None
     ) -> np.ndarray:
-        """Return the elements that the law acts on.
+        """Return the elements that the law acts on, of geoms that meet the sand.
 
-        Args:
-            model: the model.
-            geoms: ids of the geoms that meet the sand.
-            resolution: how finely they are divided, in the law's own measure; None for its default.
-
-        Returns:
-            A structured array, body by body, with fields `geom`, `body`, `slot` (the row of the
-                body among those in the sand) and `width` (for Froude numbers [m]).
+        They are a structured array, body by body, with fields `geom`, `body`, `slot` (the row of
+        the body among those in the sand) and `width` (for Froude numbers [m]). The resolution is
+        how finely geoms are divided, in the law's own measure; None for its default.
 
         Raises:
             InputError: the law has no elements for some geoms.
@@ -88,16 +81,14 @@ class Law(ABC):
         Raises:
             InputError: a field is not a finite number.
         """
-        names = [field.name for field in fields(self)]  # pyright: ignore[reportArgumentType]
-        parameters = np.zeros(1, np.dtype([(name, np.float64) for name in names]))
-        for name in names:
-            value = getattr(self, name)
+        known = fields(self)  # pyright: ignore[reportArgumentType]
+        numbers = {field.name: getattr(self, field.name) for field in known}
+        for name, value in numbers.items():
             if not is_finite(value):
                 raise InputError(
                     f"{type(self).__name__}: {name} must be a finite number, not {shown(value)}"
                 )
-            parameters[name] = value
-        return parameters
+        return record_of(**numbers)
 
     def check_not_negative(self, *names: str) -> None:
         """Check that fields are finite and not negative."""
@@ -129,17 +120,23 @@ class Law(ABC):
         return self.kernel(surface)
 
 
+def record_of(**numbers: Any) -> np.ndarray:
+    """Return numbers and arrays of numbers as a record, as kernels read it: shape (1,)."""
+    kinds = [(name, np.float64, np.shape(value)) for name, value in numbers.items()]
+    record = np.zeros(1, np.dtype(kinds))
+    for name, value in numbers.items():
+        record[name] = value
+    return record
+
+
 LawClass = TypeVar("LawClass", bound=type[Law])
 
 
 def register_law(law: LawClass, *, replace: bool = False) -> LawClass:
     """Register a class of laws by its `name` in this process; can be used as a decorator.
 
-    A class that is defined again, as in a cell of a notebook, replaces the old one.
-
-    Args:
-        law: the class.
-        replace: let it replace another law of that name.
+    A class that is defined again, as in a cell of a notebook, replaces the old one; with `replace`
+    it replaces any other law of that name.
 
     Raises:
         InputError: another law has that name, or `law` is not a class of laws.
@@ -205,8 +202,8 @@ def get_law(law: str | Law | type[Law] | None, medium: Medium) -> Law:
     known = fields(cls)  # pyright: ignore[reportArgumentType]
     if {field.name for field in known if field.default is MISSING} <= given.keys():
         return cls(**given)
-    made = cls.from_medium(medium)
-    return cls(**{**{field.name: getattr(made, field.name) for field in known}, **given})
+    made: Any = cls.from_medium(medium)
+    return replace(made, **given)
 
 
 def law_in(text: str) -> tuple[type[Law], dict[str, Any]]:

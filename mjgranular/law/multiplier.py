@@ -12,8 +12,6 @@ conditioned on the way (the primal-dual method of Chan, Golub and Mulet, SIAM J.
 (1999), for the same function in image processing).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import partial
@@ -25,21 +23,17 @@ from mjgranular.kernel.vector import diagonal, dot, outer
 
 @dataclass(frozen=True)
 class Multiplier:
-    """Kernels of a sample, its velocity v [m/s], its multiplier p and the softness eps [m/s].
+    """Kernels of a sample, its velocity v [m/s], its multiplier p and the softness eps [m/s]."""
 
-    Attributes:
-        own: kernel `own(sample, v, eps)`: the multiplier of a velocity.
-        update: kernel `update(sample, v, p, c, eps)`: the multiplier after a Newton step that
-            changes the velocity by `c`, limited to a size of one.
-        by_velocity: kernel `by_velocity(sample, v, p, eps)`: the derivative of the multiplier used
-            in such a step, a matrix.
-        turn: kernel `turn(sample, v, c, eps)`: the square of a change `c` of the velocity, relative
-            to the speeds over which the multiplier turns.
-    """
-
-    own: Any
+    own: Any  # `own(sample, v, eps)`: the multiplier of a velocity
+    # `update(sample, v, p, c, eps)`: the multiplier after a Newton step that changes the velocity
+    # by `c`, limited to a size of one.
     update: Any
+    # `by_velocity(sample, v, p, eps)`: the derivative of the multiplier used in such a step, a
+    # matrix.
     by_velocity: Any
+    # `turn(sample, v, c, eps)`: the square of a change `c` of the velocity, relative to the speeds
+    # over which the multiplier turns.
     turn: Any
 
 
@@ -56,15 +50,6 @@ def multiplier_of(v, eps):
 
 
 @partial(compiled, inline=True)
-def next_multiplier(v, p, c, eps):
-    """Return the multiplier after a Newton step: see `Multiplier.update`."""
-    scale = softened(dot(v, v), eps)
-    q = scale * (v + c - (dot(v, c) * scale) * p)
-    square = dot(q, q)
-    return q if square <= 1.0 else (1.0 / math.sqrt(square)) * q
-
-
-@partial(compiled, inline=True)
 def own(sample, v, eps):
     """Compute `Multiplier.own` for one limit."""
     return multiplier_of(v, eps)
@@ -73,7 +58,10 @@ def own(sample, v, eps):
 @partial(compiled, inline=True)
 def update(sample, v, p, c, eps):
     """Compute `Multiplier.update` for one limit."""
-    return next_multiplier(v, p, c, eps)
+    scale = softened(dot(v, v), eps)
+    q = scale * (v + c - (dot(v, c) * scale) * p)
+    square = dot(q, q)
+    return q if square <= 1.0 else (1.0 / math.sqrt(square)) * q
 
 
 @partial(compiled, inline=True)
@@ -106,8 +94,8 @@ def split_update(sample, v, p, c, eps):
     """Compute `Multiplier.update` for two limits."""
     n = sample.normal
     v_n, p_n, c_n = dot(v, n) * n, dot(p, n) * n, dot(c, n) * n
-    along = next_multiplier(v_n, p_n, c_n, eps)
-    return along + next_multiplier(v - v_n, p - p_n, c - c_n, eps)
+    along = update(sample, v_n, p_n, c_n, eps)
+    return along + update(sample, v - v_n, p - p_n, c - c_n, eps)
 
 
 @partial(compiled, inline=True)

@@ -15,13 +15,9 @@ facet: mu(I) = mu + rate I / (I + I_0) (Jop, Forterre and Pouliquen, Nature 441,
 facet's resistance, xi_n z. The resistance is proportional to the cubic xi_n(mu) (`Rft3dLaw`).
 """
 
-from __future__ import annotations
-
 import math
-from functools import cache, partial
-from typing import Any
+from functools import partial
 
-import numpy as np
 from numpy.polynomial import Polynomial
 
 from mjgranular.kernel.compiled import compiled
@@ -36,6 +32,9 @@ INERTIAL_NUMBER = 0.279
 RATE = 0.26
 """Rise of friction from slow flow to fast: of glass beads, tan 32.76 - tan 20.9 degrees, ibid."""
 
+SHEAR_KEYS = ("shear", "rate_1", "rate_2", "rate_3")
+"""Fields of a law's record that fast shear needs (`shear_constants`)."""
+
 _GROWTH = 0.1  # depth over which the cone forms, in widths; chosen
 _PACKING = 0.59  # solid fraction of a loose bed: of the beds of `referee`
 _NO_STRESS = 1e-9  # stress that counts as zero [Pa]; chosen
@@ -46,7 +45,7 @@ def cone_under(friction: float) -> float:
     return math.tan(math.pi / 4 + math.atan(friction) / 2) / 6
 
 
-def shear_constants(density: float, grain: float, friction: float, rate: float) -> np.ndarray:
+def shear_constants(density: float, grain: float, friction: float, rate: float) -> dict[str, float]:
     """Return what the kernel reads: d sqrt(rho_s) [kg^(1/2) m^(-1/2)], and three factors.
 
     xi_n(mu + s rate) / xi_n(mu) = 1 + s (a + s (b + s c)) with s = I / (I + I_0). The density of
@@ -54,10 +53,10 @@ def shear_constants(density: float, grain: float, friction: float, rate: float) 
     """
     whole = FRICTION_CUBIC(friction)
     if not (rate > 0 and whole > 0):
-        return np.zeros(4)
+        return dict.fromkeys(SHEAR_KEYS, 0.0)
     size = grain * math.sqrt(density / _PACKING)
     rise = FRICTION_CUBIC(Polynomial([friction, rate])) / whole  # Taylor coefficients by s
-    return np.array([size, *rise.coef[1:]])
+    return dict(zip(SHEAR_KEYS, (size, *rise.coef[1:]), strict=True))
 
 
 @partial(compiled, inline=True)
@@ -66,38 +65,27 @@ def not_raised(law, facet, pose, centre, normal, up, mean, g):
     return 1.0
 
 
-@cache
-def raised_kernel(rate: bool) -> Any:
-    """Make a kernel `raised(law, facet, pose, centre, normal, up, mean, g)`: the factor.
+@partial(compiled, inline=True)
+def raised_by_cone(law, facet, pose, centre, normal, up, mean, g):
+    """Return the factor of stagnant sand; the law's record has `cone` [widths]."""
+    down = -dot(normal, up)
+    least = _GROWTH * facet.face
+    deep = choose(mean > least, mean, least)
+    return 1.0 + law.cone * facet.flat * facet.face * choose(down > 0.0, down, 0.0) / deep
 
-    The law's record has `cone` [widths]; with fast shear (`rate`) also `stiffness`, xi_n / g
-    [kg/m^3], and `shear` and `rate_1` to `rate_3` (`shear_constants`).
+
+@partial(compiled, inline=True)
+def raised_by_shear(law, facet, pose, centre, normal, up, mean, g):
+    """Return the factor of stagnant sand and of fast shear.
+
+    The record also has `stiffness`, xi_n / g [kg/m^3], and `shear` and `rate_1` to `rate_3`
+    (`shear_constants`).
     """
-
-    @partial(compiled, inline=True)
-    def stagnant(law, facet, normal, up, mean):
-        down = -dot(normal, up)
-        least = _GROWTH * facet.face
-        deep = choose(mean > least, mean, least)
-        return 1.0 + law.cone * facet.flat * facet.face * choose(down > 0.0, down, 0.0) / deep
-
-    if not rate:
-
-        @partial(compiled, inline=True)
-        def raised(law, facet, pose, centre, normal, up, mean, g):
-            return stagnant(law, facet, normal, up, mean)
-
-        return raised
-
-    @partial(compiled, inline=True)
-    def raised_by_shear(law, facet, pose, centre, normal, up, mean, g):
-        standing = stagnant(law, facet, normal, up, mean)
-        stress = law.stiffness * g * mean * standing
-        stress = choose(stress > _NO_STRESS, stress, _NO_STRESS)
-        v = velocity_at(pose.motion, centre - pose.tree)
-        per = law.shear / facet.face
-        number = root(per * per * dot(v, v) / stress)
-        s = number / (number + INERTIAL_NUMBER)
-        return standing * (1.0 + s * (law.rate_1 + s * (law.rate_2 + s * law.rate_3)))
-
-    return raised_by_shear
+    standing = raised_by_cone(law, facet, pose, centre, normal, up, mean, g)
+    stress = law.stiffness * g * mean * standing
+    stress = choose(stress > _NO_STRESS, stress, _NO_STRESS)
+    v = velocity_at(pose.motion, centre - pose.tree)
+    per = law.shear / facet.face
+    number = root(per * per * dot(v, v) / stress)
+    s = number / (number + INERTIAL_NUMBER)
+    return standing * (1.0 + s * (law.rate_1 + s * (law.rate_2 + s * law.rate_3)))

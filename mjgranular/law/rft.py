@@ -1,7 +1,5 @@
 """Base of the two laws of resistive force theory."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from functools import cache
@@ -16,8 +14,8 @@ from mjgranular.kernel.vector import dot
 from mjgranular.law.facet import facet_kernel
 from mjgranular.law.kernel import LawKernel
 from mjgranular.law.lateral import lateral_slope
-from mjgranular.law.law import Law
-from mjgranular.law.raised import not_raised, raised_kernel
+from mjgranular.law.law import Law, record_of
+from mjgranular.law.raised import not_raised, raised_by_cone, raised_by_shear
 from mjgranular.law.validity import Finding, Limit, findings_of
 from mjgranular.shape import facets_from_model
 from mjgranular.surface import Surface
@@ -47,6 +45,7 @@ class RftLaw(Law):
             and n.u, as a strength [N/m^3] and a vector of the factors of n, u and z, `strength
             (alpha n + beta u + gamma z)`; and the factors' derivatives by u.z, by n.z and by n.u,
             three vectors.
+        density: bulk density, for `record` [kg/m^3].
         inertia: lambda of the dynamic term.
         added: kappa of the added mass; a law without it omits the field.
         cone: mean depth of stagnant sand under flat faces, in widths (`law.raised`); optional.
@@ -68,6 +67,7 @@ class RftLaw(Law):
         Limit("slope", math.radians(10), "20 degrees change drag by half; 10 is chosen"),
     )
 
+    density: float
     inertia: float
     added: float = 0.0
     cone: float = 0.0
@@ -88,13 +88,20 @@ class RftLaw(Law):
     @property
     def raised(self) -> Any:
         """Return the kernel of the factor on static resistance (`law.raised`)."""
-        sheared = self.rate > 0 and self.grain > 0
-        return raised_kernel(sheared) if self.cone > 0 or sheared else not_raised
+        if self.rate > 0 and self.grain > 0:
+            return raised_by_shear
+        return raised_by_cone if self.cone > 0 else not_raised
 
     def check_options(self, *more: str) -> None:
         """Check the options; `more` names other numbers that must not be negative."""
         check_switch(f"{type(self).__name__}: rise", self.rise)
         self.check_not_negative(*more, "inertia", "added", "cone", "rate", "lateral")
+
+    def record(self, **numbers: Any) -> np.ndarray:
+        """Return the record of these numbers and of those that all kernels of facets read."""
+        shared = ("added", "density", "rise", "cone", "lateral")
+        numbers |= {name: getattr(self, name) for name in shared}
+        return record_of(**numbers, inertia=self.inertia * self.density)
 
     def elements(
         self, model: mujoco.MjModel, geoms: Sequence[int], resolution: int | None = None

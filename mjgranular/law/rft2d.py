@@ -1,7 +1,5 @@
 """Two-dimensional resistive force theory of Li, Zhang and Goldman, with an out-of-plane part."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import cache, partial
@@ -19,16 +17,7 @@ from mjgranular.law.rft import RftLaw
 from mjgranular.medium import Medium, get_medium
 from mjgranular.medium.presets import FOURIER_KEYS, GENERIC_FOURIER
 
-RFT2D_DTYPE = np.dtype(
-    [
-        (name, np.float64)
-        for name in (
-            *(*FOURIER_KEYS, "side", "scale", "inertia", "added"),
-            *("density", "rise", "cone", "lateral"),
-        )
-    ]
-)
-_PER_CUBIC_CENTIMETRE = 1e6  # N/cm^3 in N/m^3
+PER_CUBIC_CENTIMETRE = 1e6  # N/cm^3 in N/m^3
 # Horizontal part of the normal below which an element counts as level: of Treers et al.
 _LEVEL = 1e-3
 # Least sideways part of a motion in the derivative, which is singular at zero. Chosen.
@@ -152,12 +141,8 @@ def split_slope(planar: Any, level: Any) -> Any:
             n_l, u_l, z_l, n_r, n_d = 0.0, 0.0, 0.0, 0.0, 0.0
             u_r, u_d = -flat_r, -flat_d
             z_r, z_d = up_r + flat + flat_r * rise, up_d + flat_d * rise
-        by_rise, by_down, by_lead = (
-            vector(n_r, u_r, z_r),
-            vector(n_d, u_d, z_d),
-            vector(n_l, u_l, z_l),
-        )
-        return law.scale, vector(n, u, z), by_rise, by_down, by_lead
+        by_rise, by_down = vector(n_r, u_r, z_r), vector(n_d, u_d, z_d)
+        return law.scale, vector(n, u, z), by_rise, by_down, vector(n_l, u_l, z_l)
 
     return slope
 
@@ -241,14 +226,10 @@ class Rft2dLaw(RftLaw):
         return cls(**coefficients, scale=scale, **options)
 
     def parameters(self, medium: Medium) -> np.ndarray:
-        parameters = np.zeros(1, RFT2D_DTYPE)
-        for key in FOURIER_KEYS:
-            parameters[key] = getattr(self, key)
+        coefficients = {key: getattr(self, key) for key in FOURIER_KEYS}
         # A plate dragged along itself: alpha_x at tilt 0, attack 0.
-        parameters["side"] = self.C11 + self.C01 + self.Cm11
-        parameters["lateral"] = self.lateral
-        write_plates(self, parameters)
-        return parameters
+        side = self.C11 + self.C01 + self.Cm11
+        return self.record(**coefficients, side=side, scale=self.scale * PER_CUBIC_CENTIMETRE)
 
 
 def check_plates(law: Any) -> None:
@@ -257,11 +238,3 @@ def check_plates(law: Any) -> None:
     if (law.inertia > 0 or law.added > 0) and law.density == 0:
         name = type(law).__name__
         raise InputError(f"{name}: inertia of sand needs the bulk density [kg/m^3]")
-
-
-def write_plates(law: Any, parameters: np.ndarray) -> None:
-    """Write the fields that all records of laws of plates share, without the stresses."""
-    parameters["scale"] = law.scale * _PER_CUBIC_CENTIMETRE
-    parameters["inertia"] = law.inertia * law.density
-    for key in ("added", "density", "rise", "cone"):
-        parameters[key] = getattr(law, key)

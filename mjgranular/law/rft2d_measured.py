@@ -1,7 +1,5 @@
 """Two-dimensional resistive force theory with the measured stresses, without a fit."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, fields
 from functools import cache, partial
@@ -14,18 +12,15 @@ from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.vector import vector
 from mjgranular.law.law import register_law
 from mjgranular.law.rft import RftLaw
-from mjgranular.law.rft2d import Rft2dLaw, check_plates, split_slope, write_plates
+from mjgranular.law.rft2d import PER_CUBIC_CENTIMETRE, Rft2dLaw, check_plates, split_slope
 from mjgranular.medium import Medium, get_medium
-from mjgranular.medium.stresses import ATTACKS, TILTS, measured_stresses
+from mjgranular.medium.stresses import ATTACKS, measured_stresses
 
 # Rows of tilt, 30 degrees apart from 0 to 180; columns of attack, from -45 to 315 degrees, evenly
 # spaced in the coordinate of `around`; alpha_z and alpha_x, each with its slopes.
 _COLUMNS, _NUMBERS = 2 * (ATTACKS - 1) + 1, 6
-_TABLE = TILTS * _COLUMNS * _NUMBERS
 _TAN_30 = math.tan(math.radians(30))
 _STEEP = 1e-6  # least horizontal part of a motion to divide by; chosen
-_FIELDS = ("side", "scale", "inertia", "added", "density", "rise", "cone")
-_DTYPE = np.dtype([*((name, np.float64) for name in _FIELDS), ("table", np.float64, (_TABLE,))])
 
 
 @partial(compiled, inline=True)
@@ -204,10 +199,7 @@ class MeasuredRft2dLaw(RftLaw):
         return cls(medium.name.split()[0], **{"density": medium.density.value, **constants})
 
     def parameters(self, medium: Medium) -> np.ndarray:
-        parameters = np.zeros(1, _DTYPE)
         table = interpolation_table(self.table)
-        parameters["table"] = table
         # A plate dragged along itself: alpha_x at tilt 0, attack 0.
-        parameters["side"] = table[_NUMBERS * 3 + 3]
-        write_plates(self, parameters)
-        return parameters
+        side = table[_NUMBERS * 3 + 3]
+        return self.record(table=table, side=side, scale=self.scale * PER_CUBIC_CENTIMETRE)

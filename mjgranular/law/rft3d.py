@@ -1,7 +1,5 @@
 """Three-dimensional resistive force theory of Agarwal, Goldman and Kamrin."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from functools import partial
@@ -38,16 +36,6 @@ C3 = (-0.02634, -0.03436, 0.45256, 0.00835, 0.02553, -1.31290, -0.05532, 0.06790
 UPRIGHT = 1e-6
 """A wall whose normal points up by less counts as upright. Chosen: there the fit jumps by a fifth
 of the force, and rounding, in single precision too, must not decide."""
-
-RFT3D_DTYPE = np.dtype(
-    [
-        (name, np.float64)
-        for name in (
-            *("stiffness", "friction", "inertia", "added", "density", "rise"),
-            *("cone", "lateral", "shear", "rate_1", "rate_2", "rate_3"),
-        )
-    ]
-)
 
 
 @partial(compiled, inline=True)
@@ -250,13 +238,5 @@ class Rft3dLaw(RftLaw):
         return self.scale * self.density * float(FRICTION_CUBIC(self.internal_friction))
 
     def parameters(self, medium: Medium) -> np.ndarray:
-        parameters = np.zeros(1, RFT3D_DTYPE)
-        parameters["stiffness"] = self.stiffness
-        parameters["friction"] = self.surface_friction
-        parameters["inertia"] = self.inertia * self.density
-        for key in ("added", "density", "rise", "cone", "lateral"):
-            parameters[key] = getattr(self, key)
         shear = shear_constants(self.density, self.grain, self.internal_friction, self.rate)
-        for key, value in zip(("shear", "rate_1", "rate_2", "rate_3"), shear, strict=True):
-            parameters[key] = value
-        return parameters
+        return self.record(stiffness=self.stiffness, friction=self.surface_friction, **shear)

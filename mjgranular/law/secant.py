@@ -11,8 +11,6 @@ of the force when the motion turns, the symmetric part of -dF/dv, and in no dire
 own if v' is v. Both engines use this secant (`scheme.damping`, `warp.resistance`).
 """
 
-from __future__ import annotations
-
 import math
 from functools import partial
 

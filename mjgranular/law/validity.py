@@ -1,7 +1,5 @@
 """Validity of laws: limits and measured errors as data, and motions compared with them."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -30,8 +30,7 @@ FOOT_DTYPE = np.dtype(
 )
 
 
-LANES = 8
-"""Points processed side by side, a tile."""
+LANES = 8  # points processed side by side, a tile
 
 TILE = 6 * LANES
 """Numbers in a tile: each component of points and normals for all points in turn."""

@@ -50,8 +50,7 @@ def node_keys(i: Any, j: Any) -> Any:
     return (i + _BIAS) * _STRIDE + (j + _BIAS) + 1
 
 
-key_of = compiled(node_keys, inline=True)
-"""`node_keys` for kernels."""
+key_of = compiled(node_keys, inline=True)  # `node_keys` for kernels
 
 
 @partial(compiled, inline=True)

@@ -15,18 +15,14 @@ REPOSE = math.radians(32)
 """Angle of repose of dry sand [rad]. Chosen within the published range of 29 to 35 degrees
 (docs/memory.md)."""
 
-MOST_CELLS = 2000
-"""Maximum along a side. Chosen: 100 MB for each simulation."""
-
-EXTENT = 2.0
-"""Default side of the stored square [m]. Chosen."""
+MOST_CELLS = 2000  # maximum along a side; chosen: 100 MB for each simulation
+EXTENT = 2.0  # default side of the stored square [m]; chosen
 
 _BULKING = (0.5, 2.0)
 """Chosen: the densest and the loosest packing of spheres differ by a factor of 1.4."""
 
 _MULTIPLE = 20  # of cells along a side, so that blocks of several sizes fill it
-WINDOW = 5
-"""Maximum number of blocks along a side that a mean reads."""
+WINDOW = 5  # maximum number of blocks along a side that a mean reads
 
 
 @dataclass(frozen=True)
@@ -56,14 +52,8 @@ class Memory:
     bulking: float = 1.0
 
     def __post_init__(self) -> None:
-        for name, high in (
-            ("cell", math.inf),
-            ("extent", math.inf),
-            ("surroundings", math.inf),
-            ("repose", math.pi / 2),
-            ("bulking", math.inf),
-        ):
-            value = getattr(self, name)
+        for name in ("cell", "extent", "surroundings", "repose", "bulking"):
+            value, high = getattr(self, name), math.pi / 2 if name == "repose" else math.inf
             if name in ("extent", "surroundings") and value is None:
                 continue
             is_number = isinstance(value, Real) and not isinstance(value, bool)

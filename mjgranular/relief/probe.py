@@ -31,8 +31,7 @@ STEEP = 0.7
 """Sine of the tilt from which a face looks that far ahead, and presses nothing down: 45 degrees.
 Chosen."""
 
-state_length = compiled(state_size)
-"""`state_size` for kernels."""
+state_length = compiled(state_size)  # `state_size` for kernels
 
 
 @partial(compiled, inline=True)

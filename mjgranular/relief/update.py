@@ -41,48 +41,8 @@ from mjgranular.kernel.vector import (
     vector,
     write_vector,
 )
+from mjgranular.relief import grid
 from mjgranular.relief.footprint import FOOT_DTYPE, LANES, TILE
-from mjgranular.relief.grid import (
-    ACTIVE,
-    COVERED,
-    FLOWS,
-    HEAPED,
-    HEIGHT,
-    HIGHEST,
-    LISTS,
-    MOST_POSES,
-    POSE,
-    POSES,
-    PRESSED,
-    ROW,
-    SEEN,
-    SETTLED,
-    SETTLES,
-    SINCE_FLOWED,
-    SINCE_PRESSED,
-    UNDER,
-    UNMARKED,
-    WAITING,
-    activate,
-    add_height,
-    base_at,
-    base_beside,
-    base_of,
-    begin_covering,
-    claim,
-    corner_of,
-    count_at,
-    cover,
-    end_covering,
-    listed_at,
-    mark_at,
-    node_of,
-    own_mark,
-    row_at,
-    set_mark,
-    start_of,
-    wrapped,
-)
 from mjgranular.relief.probe import level_kernel, state_length
 from mjgranular.relief.relief import Relief
 from mjgranular.surface import Surface
@@ -161,25 +121,25 @@ def press_kernel(level: Any, is_flat: bool) -> Any:
         if not is_sand(relief, u, v):
             return 0.0
         cell, size, blocks = relief.cell, relief.size, relief.blocks
-        i, j, _, _ = corner_of(cell, u, v)
-        row, column, first = i % size, j % size, base_of(i, j)
-        area, volume, heights = cell * cell, 0.0, start_of(size, HEIGHT)
+        i, j, _, _ = grid.corner_of(cell, u, v)
+        row, column, first = i % size, j % size, grid.base_of(i, j)
+        area, volume, heights = cell * cell, 0.0, grid.start_of(size, grid.HEIGHT)
         for di in range(2):
             for dj in range(2):
                 x, y = (i + di) * cell, (j + dj) * cell
                 skin = skin_at(z, slope_u, slope_v, x - u, y - v, cell) - level(relief, x, y)
-                k = wrapped(row + di, size) * size + wrapped(column + dj, size)
-                base = base_beside(first, di, dj)
-                is_own = own_mark(state, size, k, base) >= 0.0
+                k = grid.wrapped(row + di, size) * size + grid.wrapped(column + dj, size)
+                base = grid.base_beside(first, di, dj)
+                is_own = grid.own_mark(state, size, k, base) >= 0.0
                 height = state[heights + k] if is_own else 0.0
                 if not height > skin or not is_sand(relief, x, y):
                     continue
                 if not is_own:
-                    claim(state, size, blocks, area, k, base)
-                cover(state, size, k)
+                    grid.claim(state, size, blocks, area, k, base)
+                grid.cover(state, size, k)
                 lowered = height - skin - relief.slack
                 if lowered > LEAST * relief.slack:
-                    add_height(state, size, blocks, k, -lowered)
+                    grid.add_height(state, size, blocks, k, -lowered)
                     volume += area * lowered
         return volume
 
@@ -191,7 +151,7 @@ def press_kernel(level: Any, is_flat: bool) -> Any:
         has_face = dot(skin.normal, skin.normal) > 0.5
         downward = choose(has_face, dot(turn.z, skin.normal), -1.0)
         reach = choose(downward <= FACES_DOWN, z, math.inf)
-        highest = state[HIGHEST] if is_flat else math.inf
+        highest = state[grid.HIGHEST] if is_flat else math.inf
         if all_of(reach >= highest):
             return 0.0
         write(place, 0, reach)
@@ -225,59 +185,59 @@ def heap(state, relief, first, volume):
     `first` is the first of the listed places under the body, which are the last in the list; the
     volume is in m^3.
     """
-    volume += state[WAITING]
+    volume += state[grid.WAITING]
     if not volume > 0.0:
         return
     cell, size, blocks, has_edge = relief.cell, relief.size, relief.blocks, has_edges(relief)
-    heights, lists, area = start_of(size, HEIGHT), start_of(size, LISTS), cell * cell
-    last = count_at(state, size, COVERED)
+    heights, lists = grid.start_of(size, grid.HEIGHT), grid.start_of(size, grid.LISTS)
+    area = cell * cell
+    last = grid.count_at(state, size, grid.COVERED)
     # Nodes found are stored between the lists, with space for all of them in the second.
-    room, found = (size * size - last - count_at(state, size, ACTIVE)) // 2, 0
+    room, found = (size * size - last - grid.count_at(state, size, grid.ACTIVE)) // 2, 0
     for n in range(first, last):
-        k = listed_at(state, size, n)
-        row, middle = row_at(size, k), base_at(state, size, k)
+        k = grid.listed_at(state, size, n)
+        row, middle = grid.row_at(size, k), grid.base_at(state, size, k)
         column = k - row * size
         at_edge = False
         for di in range(-1, 2):
-            begin = wrapped(row + di, size) * size
+            begin = grid.wrapped(row + di, size) * size
             for dj in range(-1, 2):
-                q = begin + wrapped(column + dj, size)
-                mark = own_mark(state, size, q, base_beside(middle, di, dj))
-                at_edge = at_edge or mark < UNDER
+                q = begin + grid.wrapped(column + dj, size)
+                mark = grid.own_mark(state, size, q, grid.base_beside(middle, di, dj))
+                at_edge = at_edge or mark < grid.UNDER
         if not at_edge:
             continue
-        i, j = node_of(middle)
+        i, j = grid.node_of(middle)
         for di in range(-2, 3):
-            begin = wrapped(row + di, size) * size
+            begin = grid.wrapped(row + di, size) * size
             for dj in range(-2, 3):
-                q, base = begin + wrapped(column + dj, size), base_beside(middle, di, dj)
-                mark = own_mark(state, size, q, base)
+                q, base = begin + grid.wrapped(column + dj, size), grid.base_beside(middle, di, dj)
+                mark = grid.own_mark(state, size, q, base)
                 # A place with a body in the last step most likely still has one, if not yet
                 # processed.
-                if mark >= UNDER or found == room:
+                if mark >= grid.UNDER or found == room:
                     continue
                 if has_edge and not is_sand(relief, (i + di) * cell, (j + dj) * cell):
                     continue
                 if mark < 0.0:
-                    claim(state, size, blocks, area, q, base)
+                    grid.claim(state, size, blocks, area, q, base)
                 state[lists + last + found] = q
                 found += 1
     if found == 0:
-        state[WAITING] = volume
+        state[grid.WAITING] = volume
         return
     share = min(volume / (found * area), cell)  # the rest waits
     for n in range(found):
         q = int(state[lists + last + n])
-        add_height(state, size, blocks, q, share)
-        state[HIGHEST] = max(state[HIGHEST], state[heights + q])
-        if mark_at(state, size, q) == UNMARKED:
-            activate(state, size, q)
-    state[HEAPED] += found * area * share
-    state[WAITING] = volume - found * area * share
+        grid.add_height(state, size, blocks, q, share)
+        state[grid.HIGHEST] = max(state[grid.HIGHEST], state[heights + q])
+        if grid.mark_at(state, size, q) == grid.UNMARKED:
+            grid.activate(state, size, q)
+    state[grid.HEAPED] += found * area * share
+    state[grid.WAITING] = volume - found * area * share
 
 
-REST = 5e-3
-"""Slope that may remain above that of repose: 0.2 degrees. Chosen."""
+REST = 5e-3  # slope that may remain above that of repose: 0.2 degrees; chosen
 
 
 # Below, a and b are the slopes of a triangle along the first and the second axis of the plane, `up`
@@ -364,35 +324,36 @@ def flow_kernel(level: Any, is_flat: bool) -> Any:
     @compiled
     def flow(state, relief, rate):
         cell, size, blocks, tangent = relief.cell, relief.size, relief.blocks, relief.repose
-        has_edge, heights, per_cell = has_edges(relief), start_of(size, HEIGHT), 1.0 / relief.cell
+        has_edge, per_cell = has_edges(relief), 1.0 / cell
+        heights = grid.start_of(size, grid.HEIGHT)
         # Start of the list of active places, which runs backward.
-        end = start_of(size, LISTS) + size * size - 1
+        end = grid.start_of(size, grid.LISTS) + size * size - 1
         area, up = cell * cell, vector(relief.along[2], relief.across[2], relief.normal[2])
         numbers = room()
         around, gained = numbers[:9], numbers[9:]
-        count, kept, highest = count_at(state, size, ACTIVE), 0, 0.0
+        count, kept, highest = grid.count_at(state, size, grid.ACTIVE), 0, 0.0
         for n in range(count):
-            k = listed_at(state, size, size * size - 1 - n)
-            if mark_at(state, size, k) != FLOWS:
+            k = grid.listed_at(state, size, size * size - 1 - n)
+            if grid.mark_at(state, size, k) != grid.FLOWS:
                 continue
-            row, middle = row_at(size, k), base_at(state, size, k)
+            row, middle = grid.row_at(size, k), grid.base_at(state, size, k)
             column = k - row * size
-            i, j = node_of(middle)
+            i, j = grid.node_of(middle)
             flowing = 0
             for di in range(-1, 2):
-                begin = wrapped(row + di, size) * size
+                begin = grid.wrapped(row + di, size) * size
                 for dj in range(-1, 2):
-                    q, place = 3 * di + dj + 4, begin + wrapped(column + dj, size)
-                    mark = own_mark(state, size, place, base_beside(middle, di, dj))
+                    q, place = 3 * di + dj + 4, begin + grid.wrapped(column + dj, size)
+                    mark = grid.own_mark(state, size, place, grid.base_beside(middle, di, dj))
                     height = per_cell * state[heights + place] if mark >= 0.0 else 0.0
                     if not is_flat:
                         height += per_cell * level(relief, (i + di) * cell, (j + dj) * cell)
-                    if mark == UNDER or (
+                    if mark == grid.UNDER or (
                         has_edge and not is_sand(relief, (i + di) * cell, (j + dj) * cell)
                     ):
                         height = math.nan
                     around[q], gained[q] = height, 0.0
-                    flowing |= (1 << q) if mark == FLOWS else 0
+                    flowing |= (1 << q) if mark == grid.FLOWS else 0
             # The first active node of a square handles it.
             if flowing & 0b000001011 == 0:
                 flow_in_square(around, gained, 0, up, tangent, rate)
@@ -405,30 +366,30 @@ def flow_kernel(level: Any, is_flat: bool) -> Any:
                 if gained[q] == 0.0:
                     continue
                 di, dj = q // 3 - 1, q % 3 - 1
-                place = wrapped(row + di, size) * size + wrapped(column + dj, size)
-                base = base_beside(middle, di, dj)
-                mark = own_mark(state, size, place, base)
+                place = grid.wrapped(row + di, size) * size + grid.wrapped(column + dj, size)
+                base = grid.base_beside(middle, di, dj)
+                mark = grid.own_mark(state, size, place, base)
                 if mark < 0.0:
-                    claim(state, size, blocks, area, place, base)
-                add_height(state, size, blocks, place, cell * gained[q])
+                    grid.claim(state, size, blocks, area, place, base)
+                grid.add_height(state, size, blocks, place, cell * gained[q])
                 highest = max(highest, state[heights + place])
                 if q != 4 and mark <= 0.0:
-                    activate(state, size, place)
+                    grid.activate(state, size, place)
             height = state[heights + k]
             if gained[4] != 0.0:
                 state[end - kept] = k
                 kept += 1
             else:
-                set_mark(state, size, k, UNMARKED)
-                state[SETTLED] = max(state[SETTLED], height)
-                state[SEEN] = max(state[SEEN], height)
+                grid.set_mark(state, size, k, grid.UNMARKED)
+                state[grid.SETTLED] = max(state[grid.SETTLED], height)
+                state[grid.SEEN] = max(state[grid.SEEN], height)
             highest = max(highest, height)
         # Nodes activated meanwhile follow in the list.
-        for n in range(count, count_at(state, size, ACTIVE)):
+        for n in range(count, grid.count_at(state, size, grid.ACTIVE)):
             state[end - kept] = state[end - n]
             kept += 1
-        state[ACTIVE] = 1.0 * kept
-        state[HIGHEST] = max(state[SETTLED], highest)
+        state[grid.ACTIVE] = 1.0 * kept
+        state[grid.HIGHEST] = max(state[grid.SETTLED], highest)
 
     return flow
 
@@ -436,15 +397,15 @@ def flow_kernel(level: Any, is_flat: bool) -> Any:
 @compiled
 def look_through(state, size):
     """Search one row per step for the highest node, since the last one found may be lower now."""
-    row = min(max(int(state[ROW]), 0), size - 1)
-    first, highest = start_of(size, HEIGHT) + row * size, 0.0
+    row = min(max(int(state[grid.ROW]), 0), size - 1)
+    first, highest = grid.start_of(size, grid.HEIGHT) + row * size, 0.0
     for n in range(first, first + size):
         highest = max(highest, state[n])
-    state[SEEN] = max(state[SEEN], highest)
-    state[ROW] = row + 1.0
+    state[grid.SEEN] = max(state[grid.SEEN], highest)
+    state[grid.ROW] = row + 1.0
     if row + 1 == size:
-        state[SETTLED] = state[SEEN]
-        state[SEEN] = state[ROW] = 0.0
+        state[grid.SETTLED] = state[grid.SEEN]
+        state[grid.SEEN] = state[grid.ROW] = 0.0
 
 
 _feet = records(FOOT_DTYPE)
@@ -459,8 +420,7 @@ STILL = 1e-3
 """How far a surface point may move until bodies press again [cells], while nothing flows. Chosen: a
 tenth of the height that is not pressed down at once (`LEAST`)."""
 
-FASTEST = 1.5
-"""Greatest rate of flow. Chosen below 2, where sand would not come to rest."""
+FASTEST = 1.5  # greatest rate of flow; chosen below 2, where sand would not come to rest
 
 
 @partial(compiled, inline=True)
@@ -481,10 +441,10 @@ def are_still(table, state, relief, feet):
         foot = feet[n]
         if foot.body != body:
             number, body = number + 1, foot.body
-        if number >= MOST_POSES:
+        if number >= grid.MOST_POSES:
             return False
         turn, shift = pose_in_plane(table, relief, body)
-        first = POSES + POSE * number
+        first = grid.POSES + grid.POSE * number
         turned = turn - read_matrix(state, first)
         moved = norm(shift - read_vector(state, first + 9))
         moved += foot.far * (norm(turned.x) + norm(turned.y) + norm(turned.z))
@@ -514,36 +474,37 @@ def update_kernel(probe: Any, is_flat: bool, dtype: np.dtype) -> Any:
             g[0] * g[0] + g[1] * g[1] + g[2] * g[2]
         )  # fmt: skip
         passed = options.timestep * math.sqrt(g / relief.cell)
-        state[SINCE_PRESSED] += passed
-        state[SINCE_FLOWED] += passed
-        if 0.0 < state[SINCE_PRESSED] < PRESSED_AFTER:
+        state[grid.SINCE_PRESSED] += passed
+        state[grid.SINCE_FLOWED] += passed
+        if 0.0 < state[grid.SINCE_PRESSED] < PRESSED_AFTER:
             return 1
-        state[SINCE_PRESSED] = 0.0
-        flows = state[SINCE_FLOWED] >= FLOWS_AFTER
-        if are_still(table, state, relief, feet) and state[SETTLES] == 1.0:
-            state[SINCE_FLOWED] = 0.0 if flows else state[SINCE_FLOWED]
+        state[grid.SINCE_PRESSED] = 0.0
+        flows = state[grid.SINCE_FLOWED] >= FLOWS_AFTER
+        if are_still(table, state, relief, feet) and state[grid.SETTLES] == 1.0:
+            state[grid.SINCE_FLOWED] = 0.0 if flows else state[grid.SINCE_FLOWED]
             return 1
-        pressed, before = state[PRESSED], begin_covering(state, size)
+        pressed, before = state[grid.PRESSED], grid.begin_covering(state, size)
         begin = 0
         for number in range(len(feet)):
             foot = feet[number]
             turn, shift = pose_in_plane(table, relief, foot.body)
-            if not is_flat or lowest_of(foot, turn, shift) < state[HIGHEST]:
-                first, volume = count_at(state, size, COVERED), 0.0
+            if not is_flat or lowest_of(foot, turn, shift) < state[grid.HIGHEST]:
+                first, volume = grid.count_at(state, size, grid.COVERED), 0.0
                 for n in range(begin, foot.end):
-                    if not is_flat or bottom_of(relief, n, turn, shift) < state[HIGHEST]:
+                    if not is_flat or bottom_of(relief, n, turn, shift) < state[grid.HIGHEST]:
                         points = row_of(relief.points, n, TILE)
                         volume += press(state, relief, turn, shift, points)
-                state[PRESSED] += volume
+                state[grid.PRESSED] += volume
                 heap(state, relief, first, relief.bulking * volume)
             begin = foot.end
-        end_covering(state, size, before)
+        grid.end_covering(state, size, before)
         look_through(state, size)
-        has_changed = state[PRESSED] > pressed or state[WAITING] > 0.0 or state[ACTIVE] > 0.0
-        state[SETTLES] = 0.0 if has_changed else 1.0
+        has_sand_to_move = state[grid.WAITING] > 0.0 or state[grid.ACTIVE] > 0.0
+        has_changed = state[grid.PRESSED] > pressed or has_sand_to_move
+        state[grid.SETTLES] = 0.0 if has_changed else 1.0
         if flows:
-            flow(state, relief, min(state[SINCE_FLOWED], FASTEST))
-            state[SINCE_FLOWED] = 0.0
+            flow(state, relief, min(state[grid.SINCE_FLOWED], FASTEST))
+            state[grid.SINCE_FLOWED] = 0.0
         return 1
 
     return update

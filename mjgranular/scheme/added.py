@@ -16,8 +16,6 @@ positive, decelerating sand returns momentum, which reduces its resistance, at m
 So an element never takes energy from the sand, for any motion.
 """
 
-from __future__ import annotations
-
 import math
 from functools import cache, partial
 from typing import Any, NamedTuple

@@ -1,7 +1,5 @@
 """Automatic choice of the scheme."""
 
-from __future__ import annotations
-
 import logging
 from dataclasses import dataclass
 from typing import ClassVar
@@ -22,22 +20,6 @@ MANY_ELEMENTS = 5000
 _FINE_OF_MANY = 1e-4  # [s]
 
 
-def choose_scheme(timestep: float, elements: int, adds_mass: bool) -> tuple[Scheme, str]:
-    """Choose the scheme for a time step [s], a number of elements and a law; also return why."""
-    if adds_mass:
-        return Implicit(), "the law moves sand along, which the explicit scheme cannot"
-    if timestep <= FINE_STEP:
-        return Explicit(longest_step=FINE_STEP), (
-            f"the time step of {timestep:g} s is fine enough for forces as they come, which "
-            "are of second order"
-        )
-    if elements > MANY_ELEMENTS and timestep <= _FINE_OF_MANY:
-        return Explicit(longest_step=_FINE_OF_MANY), (
-            f"{elements} elements are many, and {timestep:g} s is a fine step"
-        )
-    return Implicit(), f"at steps of {timestep:g} s it holds still what the sand can hold"
-
-
 @dataclass(frozen=True)
 class Auto(SchemeChoice):
     """`Implicit`, unless the time step is small or the elements are many: then `Explicit`.
@@ -51,7 +33,19 @@ class Auto(SchemeChoice):
     def scheme_for(
         self, model: mujoco.MjModel, elements: int, *, adds_mass: bool = False
     ) -> Scheme:
-        chosen, reason = choose_scheme(model.opt.timestep, elements, adds_mass)
+        chosen, step = Implicit(), model.opt.timestep
+        reason = f"at steps of {step:g} s it holds still what the sand can hold"
+        if adds_mass:
+            reason = "the law moves sand along, which the explicit scheme cannot"
+        elif step <= FINE_STEP:
+            chosen = Explicit(longest_step=FINE_STEP)
+            reason = (
+                f"the time step of {step:g} s is fine enough for forces as they come, which are "
+                "of second order"
+            )
+        elif elements > MANY_ELEMENTS and step <= _FINE_OF_MANY:
+            chosen = Explicit(longest_step=_FINE_OF_MANY)
+            reason = f"{elements} elements are many, and {step:g} s is a fine step"
         _logger.info("scheme %s: %s", chosen.name, reason)
         return chosen
 

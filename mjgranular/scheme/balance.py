@@ -10,8 +10,6 @@ For each body b the sand gives a wrench and minus its derivative by the body's s
 the root like inertias.
 """
 
-from __future__ import annotations
-
 import math
 from functools import partial
 
@@ -159,12 +157,6 @@ def crossed(v, axis):
     """Return v x axis, the rate of change of an axis that moves with the spatial velocity v."""
     linear = cross(v.angular, axis.linear) + cross(v.linear, axis.angular)
     return Motion(cross(v.angular, axis.angular), linear)
-
-
-@partial(compiled, inline=True)
-def motion_of(w, body):
-    """Return the spatial velocity of a body, as set by `find_motions`."""
-    return read_motion(w.motion[body], 0)
 
 
 @compiled

@@ -13,8 +13,6 @@ J_i^T J_i) K to the Jacobian of the balance. Equalities, friction losses, limits
 pyramidal and elliptic cones follow the engine's documentation.
 """
 
-from __future__ import annotations
-
 import math
 
 import mujoco

@@ -11,8 +11,6 @@ because
 the velocity of an element that stops in the step shrinks by only a factor per iteration.
 """
 
-from __future__ import annotations
-
 import math
 from functools import partial
 

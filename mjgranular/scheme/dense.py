@@ -1,7 +1,5 @@
 """In-place arithmetic of dense vectors and matrices: linear algebra of the implicit scheme."""
 
-from __future__ import annotations
-
 from functools import partial
 
 from mjgranular.kernel.compiled import compiled

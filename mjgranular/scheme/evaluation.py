@@ -4,24 +4,18 @@ Three programs, each compiled once: one for each law and kind of surface finds t
 sand, one for each law has their forces, and all the rest of the scheme calls these by address.
 """
 
-from __future__ import annotations
-
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
 
 from mjgranular.kernel.compiled import compiled
-from mjgranular.kernel.intrinsics import call_forces, call_step
-from mjgranular.kernel.memory import LAW, SAMPLING, SCENE, WORKSPACE, records, table_at
+from mjgranular.kernel.intrinsics import call_forces
+from mjgranular.kernel.memory import LAW, SCENE, WORKSPACE, records, table_at
+from mjgranular.kernel.motion import read_motion
 from mjgranular.law.kernel import LawKernel
-from mjgranular.scheme.balance import (
-    add_stiffness,
-    balance,
-    find_motions,
-    motion_of,
-    sum_wrenches,
-)
+from mjgranular.scheme.added import momentum_kernel, turn_kernel
+from mjgranular.scheme.balance import add_stiffness, balance, find_motions, sum_wrenches
 from mjgranular.scheme.dense import clear
 from mjgranular.scheme.forces import (
     FRESH,
@@ -32,8 +26,9 @@ from mjgranular.scheme.forces import (
     follow_kernel,
     move_kernel,
     respond_kernel,
-    sample_kernel,
 )
+from mjgranular.scheme.layout import tile_size
+from mjgranular.scheme.sampling import sampling_kernel
 from mjgranular.scheme.workspace import workspace_at
 from mjgranular.scheme.wrenches import gravity_of
 
@@ -42,16 +37,36 @@ RESPOND, DAMP, FOLLOW = (np.int64(n) for n in range(3))
 """Tasks of a law's program (`forces_program`)."""
 
 
+@partial(compiled, inline=True)
+def _no_momentum(w, body, tile, live, is_first):
+    return
+
+
+@partial(compiled, inline=True)
+def _no_turns(w):
+    return
+
+
 @cache
 def sampling_program(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
     """Make the kernel of `Scheme.sampling`: it fills the workspace's tiles and sets `w.count`."""
-    sample = sample_kernel(kernel, scene_dtype)
+    size, adds_mass = tile_size(kernel), kernel.added is not None
+    note_momentum = momentum_kernel(kernel) if adds_mass else _no_momentum
+    charge_turns = turn_kernel(kernel) if adds_mass else _no_turns
+
+    @partial(compiled, inline=True)
+    def note_head(table, w, body, place, g, tile, number, live, is_first, lead):
+        w.heads[number].body, w.heads[number].live = body.body, live
+        note_momentum(w, body.body, tile, live, is_first)
+
+    sample_all = sampling_kernel(kernel, scene_dtype, note_head, compact=True)
 
     @compiled
     def find(address, lead):
         table = table_at(address)
         w = workspace_at(table[WORKSPACE])
-        sample(table, w)
+        w.count = sample_all(table, w, w.tiles.ctypes.data, 8 * size, 0.0)
+        charge_turns(w)
         return w.count
 
     return find
@@ -76,13 +91,15 @@ def forces_program(kernel: LawKernel, law_dtype: np.dtype) -> Any:
         if task == FOLLOW:
             for i in range(w.count):
                 body, stores = w.heads[i].body, update != LAST
-                turn = follow(w.tiles[i], motion_of(w, body), w.wrench[body], eps, stores)
+                turn = follow(
+                    w.tiles[i], read_motion(w.motion[body], 0), w.wrench[body], eps, stores
+                )
                 most = max(most, turn)
         else:
             law, g = laws(table[SCENE], 1)[0], gravity_of(table)
             for i in range(w.count):
                 tile, body = w.tiles[i], w.heads[i].body
-                move(tile, motion_of(w, body), update, eps, loose)
+                move(tile, read_motion(w.motion[body], 0), update, eps, loose)
                 if task == DAMP:
                     damp(tile, law, g, eps)
                 else:
@@ -91,12 +108,6 @@ def forces_program(kernel: LawKernel, law_dtype: np.dtype) -> Any:
         return most
 
     return forces
-
-
-@compiled
-def find_elements(table, w):
-    """Fill the workspace's tiles with the elements in the sand, and set `w.count`."""
-    call_step(table[SAMPLING], table.ctypes.data, w.h)
 
 
 @compiled

@@ -8,8 +8,6 @@ half a step, `v + (h/2) a` with `a` the acceleration of the last step (Adams-Bas
 order for the velocity, leapfrog for the position). It costs one sum along the joint chain.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from functools import cache, partial
@@ -22,13 +20,7 @@ from mjgranular.errors import InputError, shown
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.fields import rows
 from mjgranular.kernel.memory import SCENE, records, scratch, table_at
-from mjgranular.kernel.motion import (
-    read_motion,
-    still,
-    velocity_at,
-    velocity_change,
-    write_motion,
-)
+from mjgranular.kernel.motion import read_motion, still, velocity_at, velocity_change, write_motion
 from mjgranular.kernel.records import bodies_of
 from mjgranular.kernel.vector import Vector, cross
 from mjgranular.law.kernel import LawKernel

@@ -1,7 +1,5 @@
 """Forces on tiles of elements, their derivatives, and their sums per body."""
 
-from __future__ import annotations
-
 from functools import cache, partial
 from typing import Any, NamedTuple
 
@@ -16,7 +14,7 @@ from mjgranular.kernel.vector import Matrix, Vector, cross, diagonal, dot, norm,
 from mjgranular.law.kernel import LawKernel
 from mjgranular.law.multiplier import multiplier_of
 from mjgranular.law.secant import secant
-from mjgranular.scheme.added import added_kernel, kink_kernel, momentum_kernel, turn_kernel
+from mjgranular.scheme.added import added_kernel, kink_kernel
 from mjgranular.scheme.layout import (
     ARM,
     FORCE,
@@ -28,9 +26,7 @@ from mjgranular.scheme.layout import (
     TURN,
     VELOCITY,
     WEIGHT,
-    tile_size,
 )
-from mjgranular.scheme.sampling import sampling_kernel
 
 # Not literals: numba would compile a function for each of them.
 FRESH, NEXT, SAME, LAST = (np.int64(n) for n in range(4))
@@ -51,43 +47,8 @@ class Response(NamedTuple):
 
 
 @partial(compiled, inline=True)
-def _no_momentum(w, body, tile, live, is_first):
-    return
-
-
-@partial(compiled, inline=True)
-def _no_turns(w):
-    return
-
-
-@partial(compiled, inline=True)
 def _no_kink(tile, lane, by_v, by_force):
     return False
-
-
-def sample_kernel(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
-    """Make the kernel `sample(table, w)`.
-
-    It fills the workspace's tiles with the elements in the sand, and sets `w.count`.
-    """
-    size = tile_size(kernel)
-    adds_mass = kernel.added is not None
-    note_momentum = momentum_kernel(kernel) if adds_mass else _no_momentum
-    charge_turns = turn_kernel(kernel) if adds_mass else _no_turns
-
-    @partial(compiled, inline=True)
-    def note_head(table, w, body, place, g, tile, number, live, is_first, lead):
-        w.heads[number].body, w.heads[number].live = body.body, live
-        note_momentum(w, body.body, tile, live, is_first)
-
-    sample_all = sampling_kernel(kernel, scene_dtype, note_head, compact=True)
-
-    @compiled
-    def sample(table, w):
-        w.count = sample_all(table, w, w.tiles.ctypes.data, 8 * size, 0.0)
-        charge_turns(w)
-
-    return sample
 
 
 def move_kernel(kernel: LawKernel) -> Any:

@@ -25,8 +25,6 @@ The scheme carries no state from step to step: the force is a function of MuJoCo
 copied, saved or reset states continue identically, to the last bit.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import partial
@@ -47,7 +45,8 @@ from mjgranular.kernel.engine import (
     solve_inertia,
     tendon_bias_forces,
 )
-from mjgranular.kernel.memory import WORKSPACE, table_at
+from mjgranular.kernel.intrinsics import call_step
+from mjgranular.kernel.memory import SAMPLING, WORKSPACE, table_at
 from mjgranular.kernel.options import options_at
 from mjgranular.kernel.records import bodies_of, contacts_of
 from mjgranular.kernel.vector import cross, dot, norm, read_vector, write_vector
@@ -55,7 +54,7 @@ from mjgranular.law.kernel import LawKernel
 from mjgranular.scheme.balance import prepare_inertia
 from mjgranular.scheme.constraints import prepare_constraints
 from mjgranular.scheme.dense import add_scaled, clear, copy, inner
-from mjgranular.scheme.evaluation import find_elements, forces_program, sampling_program
+from mjgranular.scheme.evaluation import forces_program, sampling_program
 from mjgranular.scheme.layout import FORCE, INDEX, VELOCITY
 from mjgranular.scheme.metric import is_unsupported, make_metric
 from mjgranular.scheme.passivity import passive_share
@@ -149,7 +148,7 @@ def implicit_program(address, lead):
     for slot in range(len(bodies)):
         clear(bodies[slot].wrench)
     w.h = lead
-    find_elements(table, w)
+    call_step(table[SAMPLING], address, w.h)  # fills the tiles
     if w.count > 0:
         open_constraints(table[WORKSPACE], w)
         find_smooth_forces(w)

@@ -5,8 +5,6 @@ only arithmetic, so that the compiler vectorizes them; unused lanes repeat the l
 zero weight. A law with one lane has tiles of one element.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from mjgranular.kernel.fields import size_of

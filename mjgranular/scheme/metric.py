@@ -11,8 +11,6 @@ interface. Inverse dynamics is the only other function of this interface that co
 these.
 """
 
-from __future__ import annotations
-
 import mujoco
 
 from mjgranular.kernel.compiled import compiled

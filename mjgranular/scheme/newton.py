@@ -7,10 +7,10 @@ sqrt(v^2 + eps^2) p = v. That equation is linearized too, and p is eliminated el
 (`law.kernel`), so that nv equations remain.
 """
 
-from __future__ import annotations
-
 import math
-from collections import namedtuple
+from typing import NamedTuple
+
+import numpy as np
 
 from mjgranular.kernel.compiled import compiled
 from mjgranular.scheme.dense import add_scaled, inner, solve
@@ -29,19 +29,19 @@ _MISFIT, _NEARLY = 1e-8, 1e-6
 _SHORTEST = 0.1  # of a step
 _NOTHING = 1e-150  # smallest speed to divide by
 
-Search = namedtuple("Search", ["update", "loose", "eps", "goal", "steps", "most_mismatch"])
-Search.__doc__ = """Options of one run of Newton's method.
 
-Attributes:
-    update: of the multipliers at the beginning: `FRESH`, those of the velocity itself with the
-        softness `loose`; `SAME`, those that are there; `LAST`, those of the motions in `w`, at
-        which forces are linearized.
-    loose: see there [m/s].
-    eps: softness [m/s].
-    goal: residual to be reached.
-    steps: at most.
-    most_mismatch: at which to give up.
-"""
+class Search(NamedTuple):
+    """Options of one run of Newton's method."""
+
+    # Multipliers at the beginning: `FRESH`, those of the velocity itself with the softness `loose`;
+    # `SAME`, those that are there; `LAST`, those of the motions in `w`, at which forces are
+    # linearized.
+    update: np.int64
+    loose: float  # [m/s]
+    eps: float  # softness [m/s]
+    goal: float  # residual to be reached
+    steps: np.int64  # at most
+    most_mismatch: float  # at which to give up
 
 
 @compiled

@@ -8,8 +8,6 @@ them is used with
     j . v'(sigma) <= 0,    A (v'(sigma) - v) = h (q + q_c(v'(sigma))) + sigma j.
 """
 
-from __future__ import annotations
-
 import math
 
 from mjgranular.kernel.compiled import compiled

@@ -1,7 +1,5 @@
 """Find the elements in the sand and fill tiles with them: both schemes' loop over elements."""
 
-from __future__ import annotations
-
 import math
 from functools import partial
 from typing import Any

@@ -1,7 +1,5 @@
 """The interface of schemes, and their registry."""
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
@@ -15,13 +13,12 @@ from mjgranular._util.parse import read_part
 from mjgranular._util.registry import Registry
 from mjgranular.errors import InputError
 from mjgranular.law.kernel import LawKernel
-from mjgranular.scheme.status import refusal
+from mjgranular.scheme.status import BAD_METRIC, BAD_SOLVER, BAD_TIMESTEP, LONG_TIMESTEP
 
-schemes: Registry[type[SchemeChoice]] = Registry("scheme")
+schemes: Registry[type["SchemeChoice"]] = Registry("scheme")
 """Scheme classes by name."""
 
-STEP = "int64(int64, float64)"
-"""Signature of the program of a scheme."""
+STEP = "int64(int64, float64)"  # signature of the program of a scheme
 
 FORCES = "float64(int64, int64, float64, int64, float64)"
 """Signature of the program of a law (`Scheme.forces`)."""
@@ -31,17 +28,12 @@ _SPELLED = {"EULER": "Euler"}
 
 @dataclass(frozen=True)
 class Workspace:
-    """Memory of a scheme for one simulation, allocated once, so that no step allocates.
+    """Memory of a scheme for one simulation, allocated once, so that no step allocates."""
 
-    Attributes:
-        record: sizes and addresses, as the scheme's program reads them; words of 8 bytes.
-        arrays: by name, those whose addresses are in the record, to be kept alive.
-        statistics: what the program counts, by name; see the scheme.
-    """
-
-    record: np.ndarray
+    record: np.ndarray  # sizes and addresses, as the scheme's program reads them; words of 8 bytes
+    # By name, those whose addresses are in the record, to be kept alive.
     arrays: Mapping[str, np.ndarray] = field(default_factory=dict)
-    statistics: np.ndarray | None = None
+    statistics: np.ndarray | None = None  # what the program counts, by name; see the scheme
 
 
 class SchemeChoice(ABC):
@@ -58,7 +50,7 @@ class SchemeChoice(ABC):
     @abstractmethod
     def scheme_for(
         self, model: mujoco.MjModel, elements: int, *, adds_mass: bool = False
-    ) -> Scheme:
+    ) -> "Scheme":
         """Return the scheme for a model, its number of elements, and its law (`Law.adds_mass`)."""
 
     def check(self, model: mujoco.MjModel) -> None:
@@ -90,11 +82,29 @@ class Scheme(SchemeChoice):
 
     def refusal(self, status: int) -> str:
         """Say why the program returned a status of `scheme.status.REFUSED`, and what to change."""
+        if status == BAD_TIMESTEP:
+            return "the time step of the model (opt.timestep) must be a positive number"
+        if status == LONG_TIMESTEP:
+            return (
+                f"the explicit scheme was chosen for time steps up to {self.step_limit:g} s, and "
+                "that of the model (opt.timestep) is longer now: prepare the sand anew, or with "
+                "scheme='implicit'"
+            )
+        if status == BAD_SOLVER:
+            return (
+                "the constraint solver of the model (opt.solver) is none that MuJoCo has: set it "
+                "to PGS, CG or Newton"
+            )
+        if status == BAD_METRIC:
+            return (
+                "with the integrator discrete the implicit scheme foresees the constraint solvers "
+                "Newton and CG (opt.solver), without the flag ipc (opt.enableflags): set these, "
+                "another integrator, or scheme='explicit'"
+            )
         *first, last = (_SPELLED.get(name, name.lower()) for name in self.integrators)
-        return refusal(
-            status,
-            longest_step=self.step_limit,
-            integrators=f"{', '.join(first)} or {last}",
+        return (
+            "the sand cannot be stepped with the integrator that the model has now "
+            f"(opt.integrator; RK4 is such a one): set it to {', '.join(first)} or {last}"
         )
 
     @property
@@ -108,11 +118,8 @@ class Scheme(SchemeChoice):
 
         Called as `program(address, lead)` with the address of the simulation's table
         (`kernel.memory`) and the lead in seconds; it returns one of `scheme.status`, or the row of
-        the first body whose wrench is not finite.
-
-        Args:
-            kernel: kernel of the law.
-            scene: record with the fields `law`, made by its `parameters`, and `surface`.
+        the first body whose wrench is not finite. A scene is a record with the fields `law`, made
+        by its `parameters`, and `surface`.
         """
 
     def sampling(self, kernel: LawKernel, scene: np.dtype) -> Any:
@@ -128,16 +135,12 @@ class Scheme(SchemeChoice):
 
         It is the same for all surfaces, as `program` is then for all laws, so each is compiled
         once. Its address is in the table (`kernel.memory.LAW`).
-
-        Args:
-            kernel: kernel of the law.
-            scene: see `program`.
         """
         return None
 
     def scheme_for(
         self, model: mujoco.MjModel, elements: int, *, adds_mass: bool = False
-    ) -> Scheme:
+    ) -> "Scheme":
         return self
 
     def workspace(
@@ -151,12 +154,7 @@ class Scheme(SchemeChoice):
     ) -> Workspace:
         """Allocate the memory that the program needs in one simulation, if any.
 
-        Args:
-            model: the model.
-            data: the simulation.
-            elements: elements of the law.
-            kernel: kernel of the law.
-            within: whether the program runs among MuJoCo's passive forces, inside its step.
+        `within` is whether it runs among MuJoCo's passive forces, inside its step.
         """
         return Workspace(np.zeros(0, np.int64))
 

@@ -14,8 +14,6 @@ Newton's method finds nearly all velocities. Where it diverges, forces are treat
 (`scheme.damping`) until it converges; if it never does, the step uses that damping.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -66,8 +64,7 @@ def find_velocity(table, w):
     if fastest(w) < _SLOW * coarse:
         # The same elements hold as in the last step.
         copy(velocity, w.start)
-        search = Search(LAST, fine, fine, goal, _STEPS_NEAR, _TURNED)
-        done, error = newton(table, w, search)
+        done, error = newton(table, w, Search(LAST, fine, fine, goal, _STEPS_NEAR, _TURNED))
         if error <= goal:
             return done, error / w.scale
 
@@ -79,8 +76,7 @@ def find_velocity(table, w):
     for j in range(w.nv):
         velocity[j] = w.start[j] + (w.h * w.qacc_warmstart[j] if known else 0.0)
     loose = max(coarse, fine)
-    search = Search(FRESH, loose, fine, goal, _STEPS, math.inf)
-    more, error = newton(table, w, search)
+    more, error = newton(table, w, Search(FRESH, loose, fine, goal, _STEPS, math.inf))
     done += more
     if goal < error <= _LOST * w.scale:
         # Bodies that start to move in this step have more rounding than their velocity before
@@ -90,8 +86,7 @@ def find_velocity(table, w):
             fine = moved
             goal = goal_of(fine) * w.scale
             loose = max(coarse, fine)
-            search = Search(SAME, fine, fine, goal, _STEPS_SOFT, math.inf)
-            more, error = newton(table, w, search)
+            more, error = newton(table, w, Search(SAME, fine, fine, goal, _STEPS_SOFT, math.inf))
             done += more
     if error <= _LOST * w.scale:
         return done, error / w.scale
@@ -104,8 +99,7 @@ def find_velocity(table, w):
         if done >= w.evaluations:
             return done, error / w.scale
         copy(w.near, velocity)
-        search = Search(FRESH, fine, fine, goal, _STEPS_FROM_NEAR, math.inf)
-        more, error = newton(table, w, search)
+        more, error = newton(table, w, Search(FRESH, fine, fine, goal, _STEPS_FROM_NEAR, math.inf))
         done += more
         if error <= _LOST * w.scale:
             return done, error / w.scale

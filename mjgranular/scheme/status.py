@@ -4,8 +4,6 @@ Options may change between any two steps, for example in a viewer. A scheme that
 them reports that before it computes anything.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from functools import partial
@@ -16,18 +14,12 @@ from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.memory import INTEGRATORS, LONGEST_STEP
 from mjgranular.kernel.options import options_at
 
-FINE = -1
-"""Success."""
-BAD_STATE = -2
-"""MuJoCo has found numbers in the state that are not finite."""
-BAD_TIMESTEP = -3
-"""The time step is not a positive number."""
-LONG_TIMESTEP = -4
-"""The time step is longer than the scheme was chosen for."""
-BAD_INTEGRATOR = -5
-"""The scheme cannot step with this integrator."""
-BAD_SOLVER = -6
-"""The engine does not have this constraint solver: it would end the process."""
+FINE = -1  # success
+BAD_STATE = -2  # MuJoCo has found numbers in the state that are not finite
+BAD_TIMESTEP = -3  # the time step is not a positive number
+LONG_TIMESTEP = -4  # the time step is longer than the scheme was chosen for
+BAD_INTEGRATOR = -5  # the scheme cannot step with this integrator
+BAD_SOLVER = -6  # the engine does not have this constraint solver: it would end the process
 BAD_METRIC = -7
 """The integrator `discrete` with options that the implicit scheme does not predict."""
 
@@ -67,30 +59,3 @@ def bits_of(integrators: Iterable[str]) -> int:
     """Return a bit mask of the given integrators that this MuJoCo has."""
     known = mujoco.mjtIntegrator.__members__
     return sum(1 << int(known[f"mjINT_{name}"]) for name in integrators if f"mjINT_{name}" in known)
-
-
-def refusal(status: int, *, longest_step: float, integrators: str) -> str:
-    """Say for one of `REFUSED` what is wrong with a model's options, and what would be right."""
-    if status == BAD_TIMESTEP:
-        return "the time step of the model (opt.timestep) must be a positive number"
-    if status == LONG_TIMESTEP:
-        return (
-            f"the explicit scheme was chosen for time steps up to {longest_step:g} s, and that of "
-            "the model (opt.timestep) is longer now: prepare the sand anew, or with "
-            "scheme='implicit'"
-        )
-    if status == BAD_SOLVER:
-        return (
-            "the constraint solver of the model (opt.solver) is none that MuJoCo has: set it to "
-            "PGS, CG or Newton"
-        )
-    if status == BAD_METRIC:
-        return (
-            "with the integrator discrete the implicit scheme foresees the constraint solvers "
-            "Newton and CG (opt.solver), without the flag ipc (opt.enableflags): set these, "
-            "another integrator, or scheme='explicit'"
-        )
-    return (
-        "the sand cannot be stepped with the integrator that the model has now (opt.integrator; "
-        f"RK4 is such a one): set it to {integrators}"
-    )

@@ -5,8 +5,6 @@ of MuJoCo's structs keep MuJoCo's names. The record is made once for each `MjDat
 allocates.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import mujoco
@@ -37,8 +35,7 @@ EULER, EULER_DAMPED, IMPLICIT_FAST, IMPLICIT, DISCRETE = range(5)
 """Terms that the integrator adds to the inertia: none, joint damping, the derivative of forces, all
 terms of the effective metric."""
 
-POLY = int(mujoco.mjNPOLY)
-"""Coefficients of damping beyond the linear one."""
+POLY = int(mujoco.mjNPOLY)  # coefficients of damping beyond the linear one
 
 _F, _I, _L = np.float64, np.int32, np.int64
 

@@ -1,26 +1,11 @@
 """Parts of every scheme's program: poses of bodies, and `xfrc_applied`."""
 
-from __future__ import annotations
-
 import math
-from functools import partial
 
 import mujoco
 
+from mjgranular.kernel import memory
 from mjgranular.kernel.compiled import compiled
-from mjgranular.kernel.memory import (
-    CVEL,
-    NBODY,
-    SUBTREE_COM,
-    WARNINGS,
-    XFRC,
-    XIPOS,
-    XMAT,
-    XPOS,
-    floats,
-    ints,
-    table_at,
-)
 from mjgranular.kernel.motion import read_motion
 from mjgranular.kernel.options import NO_GRAVITY, options_at
 from mjgranular.kernel.records import bodies_of
@@ -33,11 +18,11 @@ def place_of(table, body):
     """Return the addresses of the pose of a body in the sand, for `pose_at`."""
     number = body.body
     return (
-        table[XPOS] + 24 * number,
-        table[XMAT] + 72 * number,
-        table[XIPOS] + 24 * number,
-        table[SUBTREE_COM] + 24 * body.root,
-        table[CVEL] + 48 * number,
+        table[memory.XPOS] + 24 * number,
+        table[memory.XMAT] + 72 * number,
+        table[memory.XIPOS] + 24 * number,
+        table[memory.SUBTREE_COM] + 24 * body.root,
+        table[memory.CVEL] + 48 * number,
     )
 
 
@@ -49,11 +34,11 @@ def pose_at(place):
     not read, and none have to be kept during a call of the law.
     """
     return Pose(
-        read_vector(floats(place[0], 3), 0),
-        read_matrix(floats(place[1], 9), 0),
-        read_vector(floats(place[2], 3), 0),
-        read_vector(floats(place[3], 3), 0),
-        read_motion(floats(place[4], 6), 0),
+        read_vector(memory.floats(place[0], 3), 0),
+        read_matrix(memory.floats(place[1], 9), 0),
+        read_vector(memory.floats(place[2], 3), 0),
+        read_vector(memory.floats(place[3], 3), 0),
+        read_motion(memory.floats(place[4], 6), 0),
     )
 
 
@@ -67,7 +52,17 @@ def gravity_of(table):
     return math.sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2])
 
 
-@partial(compiled, inline=True)
+@compiled
+def row_of_body(table, body):
+    """Return a body's row of `xfrc_applied`; and whether it holds what the last call wrote."""
+    first, untouched = 6 * body.body, True
+    row = memory.floats(table[memory.XFRC], 6 * table[memory.NBODY])[first : first + 6]
+    for k in range(6):
+        untouched = untouched and row[k] == body.last_wrench[k]
+    return row, untouched
+
+
+@compiled
 def add_wrenches(table):
     """Add the bodies' wrenches to `xfrc_applied`, and remove those of the last call.
 
@@ -76,16 +71,9 @@ def add_wrenches(table):
     the user's. Return -1, or the row in `bodies` of the first wrench that is not finite; then
     nothing is written. Inside MuJoCo's step the table has no `xfrc_applied`, and nothing is done.
     """
-    if table[XFRC] == 0:
+    if table[memory.XFRC] == 0:
         return -1
-    return write_wrenches(table)
-
-
-@compiled
-def write_wrenches(table):
-    """Do the work of `add_wrenches`."""
     bodies = bodies_of(table)
-    xfrc = floats(table[XFRC], 6 * table[NBODY])
     for slot in range(len(bodies)):
         total = 0.0
         for k in range(6):
@@ -94,10 +82,7 @@ def write_wrenches(table):
             return slot
     for slot in range(len(bodies)):
         body = bodies[slot]
-        row = xfrc[6 * body.body : 6 * body.body + 6]
-        untouched = True
-        for k in range(6):
-            untouched = untouched and row[k] == body.last_wrench[k]
+        row, untouched = row_of_body(table, body)
         for k in range(6):
             if not untouched:
                 body.user_wrench[k] = row[k]
@@ -109,9 +94,9 @@ def write_wrenches(table):
 @compiled
 def take_back_wrenches(address):
     """Restore `xfrc_applied` to what it was before `add_wrenches`, to the last bit."""
-    table = table_at(address)
+    table = memory.table_at(address)
     bodies = bodies_of(table)
-    xfrc = floats(table[XFRC], 6 * table[NBODY])
+    xfrc = memory.floats(table[memory.XFRC], 6 * table[memory.NBODY])
     for slot in range(len(bodies)):
         body = bodies[slot]
         for k in range(6):
@@ -130,10 +115,10 @@ def is_bad(table):
 
     Inside MuJoCo's step, which deals with that itself, the table has no warnings.
     """
-    if table[WARNINGS] == 0:
+    if table[memory.WARNINGS] == 0:
         return False
     # mjWarningStat is {int lastinfo; int number;}: the address is that of the first number.
-    numbers = ints(table[WARNINGS], _BAD[2] + 1)
+    numbers = memory.ints(table[memory.WARNINGS], _BAD[2] + 1)
     return numbers[_BAD[0]] + numbers[_BAD[1]] + numbers[_BAD[2]] > 0
 
 
@@ -143,16 +128,12 @@ def withdraw_wrenches(table):
 
     Inside MuJoCo's step the table has no `xfrc_applied`, and nothing is done.
     """
-    if table[XFRC] == 0:
+    if table[memory.XFRC] == 0:
         return
     bodies = bodies_of(table)
-    xfrc = floats(table[XFRC], 6 * table[NBODY])
     for slot in range(len(bodies)):
         body = bodies[slot]
-        row = xfrc[6 * body.body : 6 * body.body + 6]
-        untouched = True
-        for k in range(6):
-            untouched = untouched and row[k] == body.last_wrench[k]
+        row, untouched = row_of_body(table, body)
         if untouched:
             for k in range(6):
                 row[k] = body.user_wrench[k]

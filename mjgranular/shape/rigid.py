@@ -117,10 +117,8 @@ def join_faces(model: mujoco.MjModel, data: mujoco.MjData, facets: np.ndarray) -
         reach = np.abs(edges[mine]).sum(axis=1)
         low, high = points[mine] - reach, points[mine] + reach
         own = [facets["geom"][mine] == geom for geom in meshes]
-        low, high = (
-            np.array([low[m].min(0) for m in own]),
-            np.array([high[m].max(0) for m in own]),
-        )
+        low = np.array([low[m].min(0) for m in own])
+        high = np.array([high[m].max(0) for m in own])
         for part in _connected(low, high, _GAP * widths[mine].max()):
             if len(part) > 1:
                 rows = mine[np.isin(facets["geom"][mine], meshes[part])]

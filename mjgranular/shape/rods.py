@@ -30,8 +30,7 @@ ROD_DTYPE = np.dtype(
     ]
 )
 
-MOST_PIECES = 10_000
-"""Maximum number of pieces per rod. Chosen: far more than accuracy needs."""
+MOST_PIECES = 10_000  # maximum number of pieces per rod; chosen: far more than accuracy needs
 
 _CAPSULE = int(mujoco.mjtGeom.mjGEOM_CAPSULE)
 _CYLINDER = int(mujoco.mjtGeom.mjGEOM_CYLINDER)

@@ -14,8 +14,7 @@ from mjgranular.errors import InputError, UnknownNameError
 Choice = Sequence[str | int] | str | int | None
 """Selection of bodies or geoms: a name or id, or several; None for no selection."""
 
-EVERY = "all"
-"""Name for every body or geom that can meet the sand, unless one has this name."""
+EVERY = "all"  # name for every body or geom that can meet the sand, unless one has this name
 
 
 def select_geoms(
@@ -33,12 +32,8 @@ def select_geoms(
     named in `geoms` is used as it is, visual or not. The result is the union. "all" for `bodies` or
     `geoms`, or no selection at all, means every collision geom of a body that can move.
 
-    Args:
-        model: the model.
-        bodies: a body's name or id, or several.
-        geoms: a geom's name or id, or several.
-        groups: a geom group, or several.
-        leave_out: ids of geoms that are the sand itself.
+    Each is given as one or several names or ids, and `leave_out` as ids of geoms that are the sand
+    itself.
 
     Raises:
         UnknownNameError: a name that the model does not have, or a group without a geom of a body

@@ -11,6 +11,7 @@ The number of patches needed for a given error was measured (docs/shapes.md).
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -123,16 +124,12 @@ def rings(skin: Skin, counts: Sequence[int], turned: Sequence[float] | None = No
 
     `counts` is the number of patches around each ring, `turned` its rotation in patches.
     """
-    turned = turned or [0.0] * len(counts)
-    parts = []
-    for k, (count, turn) in enumerate(zip(counts, turned, strict=True)):
 
-        def ring(
-            u: np.ndarray, v: np.ndarray, k: int = k, turn: float = turn / count
-        ) -> np.ndarray:
-            return skin((k + u) / len(counts), v + turn)
+    def ring(k: int, turn: float, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        return skin((k + u) / len(counts), v + turn)
 
-        parts.append(patches(ring, 1, count))
+    both = zip(counts, turned or [0.0] * len(counts), strict=True)
+    parts = [patches(partial(ring, k, turn / n), 1, n) for k, (n, turn) in enumerate(both)]
     return joined(parts)
 
 

@@ -62,20 +62,17 @@ class Surface(ABC):
         return ()
 
     def shape(self, model: mujoco.MjModel) -> tuple[np.ndarray, ...]:
-        """Return integers of the model, int32, that set array lengths in `record`.
+        """Return integers of the model that set array lengths in `record`.
 
-        An `MjData` may be run on another model: they must be the same there.
-
-        Returns:
-            Views of arrays of the model, shape (1,) each.
+        They are views of arrays of the model, int32, shape (1,) each. An `MjData` may be run on
+        another model: they must be the same there.
         """
         return ()
 
     def lift(self, model: mujoco.MjModel) -> Mapping[str, np.ndarray]:
-        """Return the changes of the record per meter that the surface rises along its normal.
+        """Return the changes of fields of the record per meter that the surface rises [1/m].
 
-        Returns:
-            For each field that changes its change [1/m], in the shape of the field.
+        It rises along its normal. Each change has the shape of its field.
         """
         raise InputError(f"a surface of the kind {type(self).__name__} cannot be moved")
 
