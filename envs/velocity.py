@@ -193,7 +193,7 @@ class Go1Velocity(Task):
     command_yaw: tuple[float, float] = (-1.0, 1.0)
     push_scale: float = 1.0
     motor_strength: tuple[float, float] = (1.0, 1.0)
-    delay: tuple[float, float] = (0, 0)
+    delay: tuple[int, int] = (0, 0)
     reset_noise_scale: float = 0.05
     history: int = 0
     privileged: bool = False
