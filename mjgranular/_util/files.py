@@ -12,8 +12,6 @@ The package writes all files with this module. It guarantees four things:
 Errors of the system are raised as `OutputError`.
 """
 
-from __future__ import annotations
-
 import errno
 import hashlib
 import json

@@ -5,8 +5,6 @@ values of the documented kind, or raises an error with one sentence: `InputError
 user, `OutputError` for one that the package wrote. Nothing in a file is executed.
 """
 
-from __future__ import annotations
-
 import errno
 import json
 import os

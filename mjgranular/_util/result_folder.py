@@ -1,13 +1,11 @@
 """The folder of a result: claimed before the work, written at its end, nothing lost."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from mjgranular._util import files
 from mjgranular._util.io import is_plain_name, read_json
@@ -34,7 +32,7 @@ class ResultFolder:
     @contextmanager
     def claimed(
         self, *, overwrite: bool = False, goes_on: Callable[[], bool] | None = None
-    ) -> Iterator[ResultFolder]:
+    ) -> Iterator[Self]:
         """Check that the result can be written, and lock the folder; clean up if there is none.
 
         Files of these names may be replaced with `overwrite`, or if `goes_on`, called once the

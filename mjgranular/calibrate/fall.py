@@ -1,7 +1,5 @@
 """Dropped bodies: depth, and optionally pitch, over time."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

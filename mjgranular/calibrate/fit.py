@@ -1,7 +1,5 @@
 """A fit: constants of a law from measured runs."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path

@@ -17,10 +17,9 @@ for example. With four runs or more, each is omitted in turn, to first order (th
 the interval is at least the spread between runs.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 
@@ -177,7 +176,7 @@ class Information:
     matrix: np.ndarray
 
     @classmethod
-    def of(cls, jacobian: np.ndarray, scale: np.ndarray) -> Information:
+    def of(cls, jacobian: np.ndarray, scale: np.ndarray) -> Self:
         """Return that of a problem's derivatives; the first columns are the constants."""
         constants = jacobian[:, : len(scale)] * scale
         touches = jacobian[:, len(scale) :]

@@ -1,7 +1,5 @@
 """The medium before a fit, and the one that results from it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import MISSING, asdict, fields, replace

@@ -21,8 +21,6 @@ A set of runs that laws are scored against is a folder with such a file, `runs.y
 `guided` (the body keeps its angle) or recorded only `to_the_stop` of the lowest point.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Callable, Sequence

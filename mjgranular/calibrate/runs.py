@@ -1,7 +1,5 @@
 """Measured runs: what was done, with which body, and what was measured."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass, field, fields

@@ -1,7 +1,5 @@
 """Tables of measurements: CSV columns found by name, converted to SI units."""
 
-from __future__ import annotations
-
 import csv
 import io
 import re

@@ -1,7 +1,5 @@
 """A run as the fit sees it: measured data row by row, and the prediction for a material."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

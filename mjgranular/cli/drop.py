@@ -1,7 +1,5 @@
 """`mjgranular drop`: your own model on sand."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated

@@ -1,7 +1,5 @@
 """`mjgranular elements`: the elements into which a law cuts a model."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass

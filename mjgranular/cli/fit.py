@@ -1,7 +1,5 @@
 """`mjgranular fit`: a medium from measurements."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack

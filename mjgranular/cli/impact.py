@@ -1,7 +1,5 @@
 """`mjgranular impact`: one drop of the link, of another body or of a chain; the paper's table."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Any

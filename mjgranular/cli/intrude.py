@@ -1,7 +1,5 @@
 """`mjgranular intrude`: force on an intruder that is moved on a prescribed path."""
 
-from __future__ import annotations
-
 import csv
 from dataclasses import asdict, dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`mjgranular list`: media, laws, policies and environments, with their sources."""
 
-from __future__ import annotations
-
 import inspect
 from dataclasses import MISSING, asdict, dataclass, fields
 from typing import Annotated, Any, Literal

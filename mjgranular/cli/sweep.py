@@ -1,7 +1,5 @@
 """`mjgranular sweep`: an experiment many times, with any of its fields varied."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import math

@@ -1,7 +1,5 @@
 """`mjgranular train`: a policy for an environment."""
 
-from __future__ import annotations
-
 import importlib
 from contextlib import suppress
 from dataclasses import dataclass, replace

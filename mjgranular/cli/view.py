@@ -1,7 +1,5 @@
 """`mjgranular view`: your own model on sand in a window."""
 
-from __future__ import annotations
-
 import math
 import warnings
 from contextlib import closing

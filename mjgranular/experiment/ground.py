@@ -1,7 +1,5 @@
 """Sand in plain values, and ground that is part of a user's model."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import mujoco

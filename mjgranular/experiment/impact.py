@@ -1,7 +1,5 @@
 """The impact of a link: its options and its result."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Intrusion: the force on a body that is moved on a prescribed path."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Running of a study, in processes or on Ray."""
 
-from __future__ import annotations
-
 import csv
 import hashlib
 import math

@@ -1,7 +1,5 @@
 """Samples of a run, and what the sand did at them."""
 
-from __future__ import annotations
-
 from collections import deque
 from typing import Any
 

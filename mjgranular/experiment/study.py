@@ -1,7 +1,5 @@
 """An experiment with some of its fields varied, on a grid or drawn at random."""
 
-from __future__ import annotations
-
 import math
 import types
 import typing

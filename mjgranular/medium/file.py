@@ -1,7 +1,5 @@
 """A custom medium, from a YAML file."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Registry of media, and media from files."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path

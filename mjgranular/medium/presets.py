@@ -1,7 +1,5 @@
 """The media that come with the package."""
 
-from __future__ import annotations
-
 import csv
 import math
 from pathlib import Path

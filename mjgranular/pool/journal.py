@@ -1,7 +1,5 @@
 """Results that are saved as soon as they exist, so that a killed run can resume."""
 
-from __future__ import annotations
-
 import json
 import os
 import tempfile
@@ -106,7 +104,7 @@ class Journal:
                 self._file.close()
             self._file = None
 
-    def _read(self) -> tuple[str | None, array[int], int]:
+    def _read(self) -> tuple[str | None, "array[int]", int]:
         """Return any fault of the file, and the positions and the end of its results."""
         none = array("q", [_NONE]) * len(self)
         if self._path is None or not self._path.exists():

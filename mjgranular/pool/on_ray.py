@@ -1,7 +1,5 @@
 """The engine `ray`: tasks are Ray tasks, on this machine or on all of its cluster."""
 
-from __future__ import annotations
-
 import os
 import signal
 import socket

@@ -5,8 +5,6 @@ A pool, as `on_ray.RayPool` is too, has a function and the shared data of its ta
 raises if no worker could do it; `close` ends all workers, even busy ones.
 """
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import pickle
