@@ -24,10 +24,9 @@ from typing import Self
 import numpy as np
 
 from mjgranular._util.extras import require
-from mjgranular.calibrate.fall import GRAVITY, DropTrial, find_arrest
 from mjgranular.calibrate.material import Material
 from mjgranular.calibrate.runs import Body, Run
-from mjgranular.calibrate.trial import Problem, PushTrial, Trial
+from mjgranular.calibrate.trial import GRAVITY, DropTrial, Problem, PushTrial, Trial, find_arrest
 from mjgranular.errors import GranularError
 
 _FLAT = 1e-4  # singular value below which a direction is flat: no measurement is that good; chosen

@@ -118,7 +118,6 @@ def _law_class(law: str | Law | None, base: Medium | None, where: str) -> type[L
 
 
 def _numbers_of(kind: type[Law]) -> list[str]:
-    """Return the names of a law's numeric fields."""
     hints = get_type_hints(kind)
     every = fields(kind)  # pyright: ignore[reportArgumentType]
     return [field.name for field in every if hints[field.name] in (float, int)]
@@ -176,7 +175,6 @@ def fitted_medium(result: FitResult, name: str, *, source: str = "") -> Medium:
 
 
 def _found(result: FitResult, constant: str, source: str) -> str:
-    """Return the source of a constant."""
     to = f"fitted by mjgranular fit to {source}" if source else "fitted by mjgranular fit"
     if constant in result.values:
         return f"{to}; {_interval(result, constant)}"

@@ -232,7 +232,6 @@ class MeasuredRun:
     """A run to score a law against, SI units and degrees.
 
     Attributes:
-        name: name of the run.
         kind: "drop": released at the surface; "intrude": pushed straight down at constant speed;
             "drag": dragged along the surface at constant depth, one speed per row; "turn": a leg
             that turns about its hip, one angle per row; "roll": a wheel with given sinkage, speed
@@ -327,7 +326,6 @@ class RunSet:
         title: a short description.
         source: author or publication.
         medium: the known properties of the sand.
-        runs: the runs.
     """
 
     name: str

@@ -86,7 +86,6 @@ def read_table(
 
 
 def _find(headings: list[str], column: str, called: str | None, name: str) -> int | None:
-    """Return the index of a column; None if it is missing."""
     if called is not None and called not in headings:
         raise InputError(f"{name} has no column {shown(called)}: it has {listed(headings)}")
     plain = headings if called else [_split(heading, column)[0] for heading in headings]
