@@ -242,11 +242,7 @@ def _with_starts(fit: Fit, trials: Sequence[Trial]) -> Material:
 
 
 def _result(
-    fit: Fit,
-    start: Material,
-    problem: Problem,
-    x: np.ndarray,
-    trials: Mapping[str, Trial],
+    fit: Fit, start: Material, problem: Problem, x: np.ndarray, trials: Mapping[str, Trial]
 ) -> FitResult:
     """Return the result at the solution `x`, with intervals and what the data determine."""
     count, names = problem.count, fit.free

@@ -214,11 +214,7 @@ class Information:
 
 
 def further_tests(
-    problem: Problem,
-    material: Material,
-    now: Information,
-    half: np.ndarray,
-    scale: np.ndarray,
+    problem: Problem, material: Material, now: Information, half: np.ndarray, scale: np.ndarray
 ) -> tuple[FurtherTest, ...]:
     """Propose further tests, simulated with the fitted law; the most useful first."""
     names = problem.free

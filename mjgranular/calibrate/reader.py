@@ -27,8 +27,7 @@ from mjgranular._util.io import place, read_file
 from mjgranular.calibrate.fit import Fit
 from mjgranular.calibrate.medium import check_mapping, known_medium, number
 from mjgranular.calibrate.motion import Motion
-from mjgranular.calibrate.runs import COLUMNS, Body, Kind, MeasuredRun, Run, RunSet
-from mjgranular.calibrate.table import read_table
+from mjgranular.calibrate.runs import COLUMNS, Body, Kind, MeasuredRun, Run, RunSet, read_table
 from mjgranular.calibrate.trial import GRAVITY
 from mjgranular.errors import InputError, UnknownNameError, shown
 from mjgranular.law import Law, Rft3dLaw

@@ -24,12 +24,7 @@ from mjgranular.errors import (
     shown,
     warn_user,
 )
-from mjgranular.experiment.ground import (
-    PlainSand,
-    hide_replaced,
-    refuse_floors,
-    warn_of_carrying,
-)
+from mjgranular.experiment.ground import PlainSand, hide_replaced, refuse_floors, warn_of_carrying
 from mjgranular.experiment.sampling import REST_WINDOW, Recorder, RestWatch, Sampler
 from mjgranular.models import robot_path
 from mjgranular.render import Tracks

@@ -19,13 +19,7 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import Any, Literal, NamedTuple, get_args
 
-from mjgranular.errors import (
-    GranularError,
-    GranularWarning,
-    InputError,
-    UnknownNameError,
-    one_line,
-)
+from mjgranular.errors import GranularError, GranularWarning, InputError, UnknownNameError, one_line
 
 Engine = Literal["local", "ray"]
 
