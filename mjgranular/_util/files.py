@@ -300,7 +300,6 @@ def _remove(path: Path) -> None:
 
 
 def _flush(path: Path) -> None:
-    """Flush a file or folder to the disk."""
     if os.name == "nt" and path.is_dir():
         return  # folders cannot be opened on this system
     descriptor = os.open(path, os.O_RDWR if os.name == "nt" else os.O_RDONLY)

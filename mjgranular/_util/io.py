@@ -163,7 +163,6 @@ def _object(content: object, where: object) -> dict[str, Any]:
 
 
 def _kind(value: object) -> str:
-    """Describe the kind of a value for a message."""
     if isinstance(value, (dict, list)):
         return "an object" if isinstance(value, dict) else "a list"
     if value is None or isinstance(value, (bool, int, float)):

@@ -297,7 +297,6 @@ def _drops(drops: Sequence[DropTrial], body: Body) -> Iterator[tuple[str, Run]]:
 
 
 def _push(body: Body, depth: float) -> Run:
-    """Return a slow push to a depth [m]."""
     record = {"depth": np.linspace(depth / _ROWS, depth, _ROWS), "force": np.ones(_ROWS)}
     return Run("planned", "intrude", record, body=body)
 

@@ -110,7 +110,6 @@ class Material:
         return False
 
     def check_free(self, names: tuple[str, ...]) -> None:
-        """Check that constants can be free."""
         if not names:
             raise InputError(f"no constant is free; {self.law.name!r} has {', '.join(self.names)}")
         for name in names:
@@ -137,8 +136,7 @@ class Material:
         if name in self.given:
             accepted = f"from {low:g} on" if math.isinf(high) else f"{low:g} to {high:g}"
             raise InputError(
-                f"{name} starts at {value:g}, which is a bound of what the law {self.law.name!r} "
-                f"accepts, {accepted}: give a start inside, or none"
+                f"{name} starts at {value:g}, on a bound ({accepted}): give a start inside, or none"
             )
         return False
 

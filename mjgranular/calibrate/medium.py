@@ -50,8 +50,7 @@ def known_medium(
     for field in fields(kind):  # pyright: ignore[reportArgumentType]
         if field.default is MISSING and field.name not in own and field.name not in stated:
             raise InputError(
-                f"{where}: the law {kind.name!r} needs the constant {field.name!r}: give what you "
-                "know or guess, a fit starts there"
+                f"{where}: the law {kind.name!r} needs the constant {field.name!r}: give a guess"
             )
     try:
         return Medium(

@@ -82,7 +82,6 @@ class Body:
         return max(self.diameter, self.length or 0.0)
 
     def describe(self) -> str:
-        """Return a short description."""
         size = f"{self.diameter * 1e3:g} mm"
         if self.length is not None and self.shape != "sphere":
             size = f"{self.length * 1e3:g} x {size}"
@@ -338,7 +337,6 @@ class RunSet:
     runs: tuple[MeasuredRun, ...] = field(repr=False)
 
     def __getitem__(self, name: str) -> MeasuredRun:
-        """Return the run of a name."""
         for run in self.runs:
             if run.name == name:
                 return run
@@ -467,8 +465,7 @@ def _factor(heading: str, column: str, name: str) -> float:
     unit, units = _split(heading, column)[1], _HEADINGS[column][1]
     if unit is not None and unit not in units:
         raise InputError(
-            f"{name}: the column {shown(heading)} has the unit {shown(unit)}; for {column} there "
-            f"are: {', '.join(units)}"
+            f"{name}: {shown(heading)} must be in one of {listed(units)}, got {shown(unit)}"
         )
     return 1.0 if unit is None else units[unit]
 

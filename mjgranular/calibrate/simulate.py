@@ -66,7 +66,6 @@ class Simulator:
         self._harmless: set[frozenset[str]] = set()  # constants that elements do not depend on
 
     def use(self, material: Material) -> None:
-        """Change the material of the sand."""
         before = self._material
         if before is None or type(before.law) is not type(material.law):
             self._bind(self._prepare(material), material)
@@ -110,14 +109,12 @@ class Simulator:
         self._check(self._guarded(self._prepared.program, self._binding.address, lead))
 
     def step(self) -> None:
-        """Advance `data` by one time step."""
         mujoco.mj_step1(self.model, self.data)
         self._act(self._prepared.scheme.lead * self.model.opt.timestep)
         mujoco.mj_step2(self.model, self.data)
         self._check(self._finish(self._binding.address))
 
     def reset(self, qpos: np.ndarray, qvel: np.ndarray) -> None:
-        """Start from a state."""
         mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[:], self.data.qvel[:] = qpos, qvel
 

@@ -148,10 +148,10 @@ class PushTrial(Trial):
             count = inside.sum() or "no contact"
             raise InputError(f"{where}: a {run.kind} needs 2 or more rows in the sand, got {count}")
         rows = {name: values[inside] for name, values in measured.items()}
-        if rows["force"].mean() <= 0:
+        mean = rows["force"].mean()
+        if mean <= 0:
             raise InputError(
-                f"{where}: the mean force must be positive, that of the sand against the motion, "
-                f"got {rows['force'].mean():.3g} N"
+                f"{where}: the mean force against the motion must be positive, got {mean:.3g} N"
             )
         self.places = rows[self.axis]
         self.series = _series({name: rows.get(name) for name in names})
@@ -343,8 +343,7 @@ def check_record(time: np.ndarray, depth: np.ndarray, where: str) -> None:
     if len(back):
         row = int(back[0])
         raise InputError(
-            f"{where}: times must grow from row to row, got {time[row + 1]:g} s after "
-            f"{time[row]:g} s in row {row + 2}"
+            f"{where}, row {row + 2}: times must grow, got {time[row + 1]:g} after {time[row]:g} s"
         )
     if depth.max() <= 0:
         raise InputError(
@@ -396,8 +395,7 @@ class DropTrial(Trial):
             return find_touch(time, depth, self._speed)
         if not time[0] - (time[-1] - time[0]) <= touch < time[-1]:
             raise InputError(
-                f"{self._where}: the touch at {touch} s is not within the record, which goes from "
-                f"{time[0]:g} to {time[-1]:g} s"
+                f"{self._where}: the touch at {touch} s is not in {time[0]:g} to {time[-1]:g} s"
             )
         return touch
 
@@ -409,8 +407,7 @@ class DropTrial(Trial):
             if abs(math.degrees(first) - angle) < 10:
                 hint = "it looks like radians; name the column 'pitch [rad]'"
             raise InputError(
-                f"{self._where}: the first pitch is {first:.3g} degrees, and the angle of the run "
-                f"{angle:g}: {hint}"
+                f"{self._where}: the angle is {angle:g} and the first pitch {first:.3g} deg: {hint}"
             )
 
     def _make_simulator(self, duration: float) -> Simulator:
@@ -491,8 +488,7 @@ class ModelTrial(DropTrial):
             joint = model.body_jntadr[model.body_rootid[body]]
             if joint < 0 or model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_FREE:
                 raise InputError(
-                    f"{self._where}: a speed is for a model on a free joint; give this one a "
-                    "keyframe with its velocities"
+                    f"{self._where}: a speed is for a free joint; use a keyframe with velocities"
                 )
             self._qvel[model.jnt_dofadr[joint] + 2] -= self._speed
         return Simulator(model, Implicit())
@@ -548,18 +544,15 @@ class Problem:
         return np.concatenate([constants[: self.count], self.range[self.count :]])
 
     def start(self) -> np.ndarray:
-        """Return the initial unknowns."""
         constants = [self.material.value(name) for name in self.free]
         shifts = [self.trials[k].shift for k in self.shifted]
         return np.array([*constants, *shifts], float)
 
     def material_at(self, x: np.ndarray) -> Material:
-        """Return the material with those constants."""
         values = {name: float(value) for name, value in zip(self.free, x, strict=False)}
         return self.material.changed(values)
 
     def shift_of(self, x: np.ndarray, trial: int) -> float | None:
-        """Return the touch of a run."""
         if trial not in self.shifted:
             return None
         return float(x[self.count + self.shifted.index(trial)])
@@ -618,5 +611,4 @@ class Problem:
 
 
 def _slices(lengths: Sequence[int]) -> list[slice]:
-    """Return slices of these lengths, one after the other."""
     return [slice(a, b) for a, b in pairwise(np.cumsum([0, *lengths]).tolist())]

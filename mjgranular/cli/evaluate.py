@@ -66,7 +66,6 @@ class EvaluateCommand(OutputOptions):
     """Import and so execute the module of an environment that only a run's file names."""
 
     def run(self) -> int:
-        """Run the command."""
         jobs, seeds = self._jobs(), {"seeds": self.seeds, "first_seed": self.first_seed}
         with self.claimed(CONFIG, SUMMARY) as folder:
             scores = []

@@ -33,7 +33,6 @@ class ImpactCommand(FilmOptions, options_of(Impact)):
     """
 
     def run(self) -> int:
-        """Run the command."""
         self.check_film()
         if self.body == "sphere" and self.length != Impact.length:
             raise InputError("a sphere has no --length: its size is its --diameter")

@@ -35,7 +35,6 @@ class ListCommand:
     """Print JSON instead of a table."""
 
     def run(self) -> int:
-        """Run the command."""
         kinds = {
             "media": (_media, _medium),
             "laws": (_laws, _law),

@@ -66,7 +66,6 @@ class SweepCommand(OutputOptions):
     """Number of processes. Default: one per core."""
 
     def run(self) -> int:
-        """Run the command."""
         workers = Workers(self.engine, self.workers, self.address)
         study = self._study()
         journal = journal_of(study, self.out)
@@ -134,7 +133,6 @@ class SweepCommand(OutputOptions):
                 note(f"no figure: {error}")
 
     def _status(self, result: StudyResult) -> int:
-        """Print failures; return the exit status."""
         for failure in result.failures[:_FAILURES_SHOWN]:
             show_error(result.describe(failure))
         if result.failed > _FAILURES_SHOWN:
@@ -161,7 +159,6 @@ def _print_rows(result: StudyResult) -> None:
 
 
 def _show(result: StudyResult) -> None:
-    """Print the first rows as a table."""
     study = result.study
     axes = [axis_of(column_of(name)) for name in study.vary]
     axes += OUTCOMES[type(study.experiment).__name__.lower()]

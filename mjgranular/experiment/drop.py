@@ -374,7 +374,6 @@ def start_from(model: mujoco.MjModel, data: mujoco.MjData, keyframe: str | None)
 
 
 def _place(drop: Drop, model: mujoco.MjModel, data: mujoco.MjData, sand: Sand) -> None:
-    """Set the state at the start: keyframe, height and velocity of the drop."""
     start_from(model, data, drop.keyframe)
     if drop.height is None and drop.velocity == 0.0:
         return

@@ -75,7 +75,6 @@ class PlainSand:
 
     @property
     def surface(self) -> Surface:
-        """The surface of the sand."""
         if self.bed is not None:
             return Bed(self.bed)
         if self.height_field is not None:

@@ -112,7 +112,6 @@ class Impact:
 
     @property
     def title(self) -> str:
-        """Name of the body."""
         return self.body
 
     @property

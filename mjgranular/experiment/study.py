@@ -106,7 +106,6 @@ class Study:
         self._check_experiments()
 
     def __len__(self) -> int:
-        """Return the number of experiments."""
         return math.prod(self._shape) if self.sample is None else self.sample
 
     def __getitem__(self, index: int) -> dict[str, Value]:
@@ -199,10 +198,7 @@ def with_values(experiment: Experiment, values: Mapping[str, Value]) -> Experime
         changed = replace(changed, law=_law_with(changed, law))
     if DENSITY in values:
         if changed.medium is None:
-            raise InputError(
-                "law and bodies determine the medium if it is not given: name the medium whose "
-                "density is varied"
-            )
+            raise InputError("no medium is given: name the medium whose density is varied")
         name = str(changed.medium).partition(" density=")[0]
         changed = replace(changed, medium=f"{name} density={_word(values[DENSITY])}")
     return changed
@@ -224,8 +220,7 @@ def _law_with(experiment: Experiment, values: Mapping[str, Value]) -> str:
     if text is None:
         if experiment.medium is None:
             raise InputError(
-                f"without law and medium the bodies determine the law: name the law whose "
-                f"parameter is law.{next(iter(values))}"
+                f"no law is given: name the law whose parameter is law.{next(iter(values))}"
             )
         text = get_medium(experiment.medium).default_law
     kind, options = law_in(text)

@@ -98,7 +98,6 @@ class Journal:
         self.count += len(results)
 
     def close(self) -> None:
-        """Close the file."""
         if self._file is not None:
             with suppress(OSError):  # of a full disk, which `keep` has reported
                 self._file.close()
