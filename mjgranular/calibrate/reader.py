@@ -32,7 +32,6 @@ from mjgranular.calibrate.trial import GRAVITY
 from mjgranular.errors import InputError, UnknownNameError, shown
 from mjgranular.law import Law, Rft3dLaw
 from mjgranular.medium.file import read_outline_file
-from mjgranular.models import Projectile
 
 LARGEST = 1_000_000
 """Size up to which a file is read [bytes]; chosen."""
@@ -164,6 +163,13 @@ def _measured_run(
     numbers = _numbers(entry, where)
     if entry.get("body") is None:
         raise InputError(f"{where} needs body, such as {{shape: sphere, diameter: 0.0254}}")
+    if isinstance(entry["body"], dict) and set(entry["body"]) == {"file"}:
+        body = path.parent / str(entry["body"]["file"])
+    else:
+        shape = _body(entry["body"], f"{where}.body")
+        if kind == "drop" and not shape.is_heavy:
+            raise InputError(f"{where}.body: a body that is dropped needs its mass [kg]")
+        body = shape.projectile
     found: dict[str, Any] = read_table(
         path.parent / entry["data"], *COLUMNS[kind], _columns(entry, where)
     )
@@ -174,7 +180,7 @@ def _measured_run(
     return MeasuredRun(
         name=name,
         kind=kind,
-        body=_body_or_file(entry["body"], kind, f"{where}.body", path),
+        body=body,
         motion=Motion(**found, to_the_stop=name in about["to_the_stop"]),
         guided=name in about["guided"],
         mark=about["marks"].get(name, "seen"),
@@ -192,15 +198,6 @@ def _columns(entry: dict[str, Any], where: str) -> dict[str, str]:
     if not (isinstance(columns, dict) and all(isinstance(c, str) for c in columns.values())):
         raise InputError(f"{where}.columns maps names such as force to headings of the file")
     return columns
-
-
-def _body_or_file(entry: Any, kind: str, where: str, path: Path) -> Projectile | Path:
-    if isinstance(entry, dict) and set(entry) == {"file"}:
-        return path.parent / str(entry["file"])
-    body = _body(entry, where)
-    if kind == "drop" and not body.is_heavy:
-        raise InputError(f"{where}: a body that is dropped needs its mass [kg]")
-    return body.projectile
 
 
 def _body(entry: Any, where: str) -> Body:

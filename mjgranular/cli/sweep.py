@@ -102,7 +102,8 @@ class SweepCommand(OutputOptions):
             if fault is not None and (self.out / UNFINISHED).exists():
                 note(f"the unfinished sweep in {self.out} cannot be resumed: {fault}")
             claim = ResultFolder(self.out, (*names, UNFINISHED))
-            with claim.claimed(overwrite=self.overwrite, goes_on=journal.can_resume) as folder:
+            options = {"overwrite": self.overwrite, "goes_on": lambda: journal.fault() is None}
+            with claim.claimed(**options) as folder:
                 try:
                     journal.begin()
                     if journal.count:

@@ -61,10 +61,6 @@ class Journal:
         """Return why a run cannot resume from the file in the folder; None if it can."""
         return self._read()[0]
 
-    def can_resume(self) -> bool:
-        """Return True if a run can resume from the file in the folder."""
-        return self.fault() is None
-
     def begin(self) -> None:
         """Open the file: results of the same request stay, all else in it is deleted."""
         if self._path is None:
@@ -80,8 +76,6 @@ class Journal:
 
     def keep(self, results: Sequence[tuple[int, Mapping[str, Any]]]) -> None:
         """Add results, all in one write."""
-        if not results:
-            return
         if self._file is None:
             self.begin()
         file = self._file
