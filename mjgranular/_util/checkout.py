@@ -1,7 +1,5 @@
 """The folders `models` and `envs` of a checkout, which are next to the package."""
 
-from __future__ import annotations
-
 from collections.abc import MutableSequence
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Checks of the types of arguments; they raise `InputError`, which says what is expected."""
 
-from __future__ import annotations
-
 import math
 import types
 import typing

@@ -1,7 +1,5 @@
 """Imports of optional dependencies; errors have the install line."""
 
-from __future__ import annotations
-
 import importlib
 from typing import Any
 

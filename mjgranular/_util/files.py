@@ -12,8 +12,6 @@ The package writes all files with this module. It guarantees four things:
 Errors of the system are raised as `OutputError`.
 """
 
-from __future__ import annotations
-
 import errno
 import hashlib
 import json
@@ -302,7 +300,6 @@ def _remove(path: Path) -> None:
 
 
 def _flush(path: Path) -> None:
-    """Flush a file or folder to the disk."""
     if os.name == "nt" and path.is_dir():
         return  # folders cannot be opened on this system
     descriptor = os.open(path, os.O_RDWR if os.name == "nt" else os.O_RDONLY)

@@ -1,7 +1,5 @@
 """Selection of MuJoCo's renderer on a machine without a display."""
 
-from __future__ import annotations
-
 import ctypes
 import os
 import sys

@@ -5,8 +5,6 @@ values of the documented kind, or raises an error with one sentence: `InputError
 user, `OutputError` for one that the package wrote. Nothing in a file is executed.
 """
 
-from __future__ import annotations
-
 import errno
 import json
 import os
@@ -165,7 +163,6 @@ def _object(content: object, where: object) -> dict[str, Any]:
 
 
 def _kind(value: object) -> str:
-    """Describe the kind of a value for a message."""
     if isinstance(value, (dict, list)):
         return "an object" if isinstance(value, dict) else "a list"
     if value is None or isinstance(value, (bool, int, float)):

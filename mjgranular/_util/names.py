@@ -1,7 +1,5 @@
 """Names of a model's objects, for any bytes in the model's file."""
 
-from __future__ import annotations
-
 import mujoco
 
 

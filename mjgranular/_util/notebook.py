@@ -1,7 +1,5 @@
 """Films in notebooks."""
 
-from __future__ import annotations
-
 import importlib
 from typing import Any
 

@@ -4,8 +4,6 @@ Laws, surfaces and schemes are written in this form in MJCF, on the command line
 is the only parser. Nothing is evaluated.
 """
 
-from __future__ import annotations
-
 import shlex
 from collections.abc import Iterable
 from dataclasses import fields

@@ -1,7 +1,5 @@
 """Registries that users can extend: media, laws."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from typing import TypeVar
 

@@ -1,13 +1,11 @@
 """The folder of a result: claimed before the work, written at its end, nothing lost."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from mjgranular._util import files
 from mjgranular._util.io import is_plain_name, read_json
@@ -34,7 +32,7 @@ class ResultFolder:
     @contextmanager
     def claimed(
         self, *, overwrite: bool = False, goes_on: Callable[[], bool] | None = None
-    ) -> Iterator[ResultFolder]:
+    ) -> Iterator[Self]:
         """Check that the result can be written, and lock the folder; clean up if there is none.
 
         Files of these names may be replaced with `overwrite`, or if `goes_on`, called once the
@@ -63,30 +61,29 @@ class ResultFolder:
                 f"{self.path} holds a result already ({', '.join(present)}): choose another "
                 "folder, or use --overwrite"
             )
-        if CONFIG in present and self._command() == TRAINING:
+        if CONFIG in present and self._saved().get("command") == TRAINING:
             raise OutputError(
                 f"{self.path} holds a training run, which --overwrite keeps: choose another folder"
             )
 
     def lacks_figures(self, command: str, config: dict[str, Any]) -> bool:
         """Return True if this very command was interrupted here after it wrote its numbers."""
-        with suppress(OutputError):
-            saved = read_json(self.path / CONFIG)
-            wanted = json.loads(json.dumps(config, default=str))
-            values = saved.get("config")
-            if saved.get("command") == command and isinstance(values, dict):
-                same = all(values.get(name) == value for name, value in wanted.items())
-                return same and (self.path / UNFINISHED).exists()
-        return False
+        saved, wanted = self._saved(), json.loads(json.dumps(config, default=str))
+        values = saved.get("config")
+        if saved.get("command") != command or not isinstance(values, dict):
+            return False
+        same = all(values.get(name) == value for name, value in wanted.items())
+        return same and (self.path / UNFINISHED).exists()
 
     def finish(self) -> None:
         """Note that all figures are drawn."""
         (self.path / UNFINISHED).unlink(missing_ok=True)
 
-    def _command(self) -> object:
+    def _saved(self) -> dict[str, Any]:
+        """Return the options of the previous result; empty if there are none, or damaged ones."""
         with suppress(OutputError):
-            return read_json(self.path / CONFIG, infinite=True).get("command")
-        return None
+            return read_json(self.path / CONFIG, infinite=True)
+        return {}
 
     @contextmanager
     def published(
@@ -127,9 +124,7 @@ class ResultFolder:
 
     def _previous_names(self) -> list[str]:
         """Return names of files of the previous result, perhaps of another command."""
-        names: object = None
-        with suppress(OutputError):
-            names = read_json(self.path / CONFIG).get("files")
+        names = self._saved().get("files")
         return [name for name in names if is_plain_name(name)] if isinstance(names, list) else []
 
     def write(self, name: str, fill: Callable[[Path], object]) -> None:

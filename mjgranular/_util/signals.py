@@ -1,7 +1,5 @@
 """Signals that end a program, as exceptions, so that cleanup runs as after Ctrl-C."""
 
-from __future__ import annotations
-
 import signal
 import threading
 from collections.abc import Iterator

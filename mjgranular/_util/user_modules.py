@@ -3,8 +3,6 @@
 A module named so is executed. Pass only names from the user here, never from a file.
 """
 
-from __future__ import annotations
-
 import importlib
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Versions that a result depends on."""
 
-from __future__ import annotations
-
 import platform
 from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version

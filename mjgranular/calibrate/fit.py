@@ -1,7 +1,5 @@
 """A fit: constants of a law from measured runs."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -11,7 +9,6 @@ import numpy as np
 
 from mjgranular._util.checks import check_kind
 from mjgranular._util.extras import require
-from mjgranular.calibrate.fall import DropTrial, ModelTrial
 from mjgranular.calibrate.intervals import (
     COLLINEAR,
     WIDE,
@@ -25,7 +22,7 @@ from mjgranular.calibrate.intervals import (
 from mjgranular.calibrate.material import STRENGTH, Material
 from mjgranular.calibrate.motion import Errors
 from mjgranular.calibrate.runs import MeasuredRun, Run
-from mjgranular.calibrate.trial import Problem, PushTrial, RowsTrial, Trial
+from mjgranular.calibrate.trial import DropTrial, ModelTrial, Problem, PushTrial, RowsTrial, Trial
 from mjgranular.errors import InputError, UnknownNameError, UnstableError, shown
 from mjgranular.law import Law
 from mjgranular.medium import Medium, get_medium
@@ -220,7 +217,6 @@ def _trial(run: Run | MeasuredRun) -> Trial:
 
 
 def _check_enough(trials: Sequence[Trial], free: Sequence[str]) -> None:
-    """Check that the data suffice for the free constants."""
     rows = sum(trial.rows for trial in trials)
     carried = sum(trial.carries + len(trial.series) - 1 for trial in trials)
     if len(free) > carried or len(free) >= rows:
@@ -246,11 +242,7 @@ def _with_starts(fit: Fit, trials: Sequence[Trial]) -> Material:
 
 
 def _result(
-    fit: Fit,
-    start: Material,
-    problem: Problem,
-    x: np.ndarray,
-    trials: Mapping[str, Trial],
+    fit: Fit, start: Material, problem: Problem, x: np.ndarray, trials: Mapping[str, Trial]
 ) -> FitResult:
     """Return the result at the solution `x`, with intervals and what the data determine."""
     count, names = problem.count, fit.free

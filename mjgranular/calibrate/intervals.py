@@ -17,18 +17,16 @@ for example. With four runs or more, each is omitted in turn, to first order (th
 the interval is at least the spread between runs.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 
 from mjgranular._util.extras import require
-from mjgranular.calibrate.fall import GRAVITY, DropTrial, find_arrest
 from mjgranular.calibrate.material import Material
 from mjgranular.calibrate.runs import Body, Run
-from mjgranular.calibrate.trial import Problem, PushTrial, Trial
+from mjgranular.calibrate.trial import GRAVITY, DropTrial, Problem, PushTrial, Trial, find_arrest
 from mjgranular.errors import GranularError
 
 _FLAT = 1e-4  # singular value below which a direction is flat: no measurement is that good; chosen
@@ -177,7 +175,7 @@ class Information:
     matrix: np.ndarray
 
     @classmethod
-    def of(cls, jacobian: np.ndarray, scale: np.ndarray) -> Information:
+    def of(cls, jacobian: np.ndarray, scale: np.ndarray) -> Self:
         """Return that of a problem's derivatives; the first columns are the constants."""
         constants = jacobian[:, : len(scale)] * scale
         touches = jacobian[:, len(scale) :]
@@ -216,11 +214,7 @@ class Information:
 
 
 def further_tests(
-    problem: Problem,
-    material: Material,
-    now: Information,
-    half: np.ndarray,
-    scale: np.ndarray,
+    problem: Problem, material: Material, now: Information, half: np.ndarray, scale: np.ndarray
 ) -> tuple[FurtherTest, ...]:
     """Propose further tests, simulated with the fitted law; the most useful first."""
     names = problem.free
@@ -303,7 +297,6 @@ def _drops(drops: Sequence[DropTrial], body: Body) -> Iterator[tuple[str, Run]]:
 
 
 def _push(body: Body, depth: float) -> Run:
-    """Return a slow push to a depth [m]."""
     record = {"depth": np.linspace(depth / _ROWS, depth, _ROWS), "force": np.ones(_ROWS)}
     return Run("planned", "intrude", record, body=body)
 

@@ -5,13 +5,11 @@ law's record depends on it, and `strength`, the factor on static resistance that
 by `Law.strength_keys`. Bounds are what its constructor accepts.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Any, get_type_hints
+from typing import Any, Self, get_type_hints
 
 import numpy as np
 
@@ -39,7 +37,7 @@ class Material:
     given: frozenset[str] = frozenset()
 
     @classmethod
-    def of(cls, medium: Medium, law: str | Law | None) -> Material:
+    def of(cls, medium: Medium, law: str | Law | None) -> Self:
         """Return the law with the medium's constants; `law` as `Sand` takes it."""
         made = law_of(law, medium)
         names = {field.name for field in fields(made)}  # pyright: ignore[reportArgumentType]
@@ -87,7 +85,7 @@ class Material:
             return self.medium.density.value
         return float(getattr(self.law, name))
 
-    def changed(self, values: dict[str, float]) -> Material:
+    def changed(self, values: dict[str, float]) -> Self:
         """Return the material with other values of some constants; strength is a factor on it."""
         own: Any = {name: value for name, value in values.items() if name in self._numbers}
         law = replace(self.law, **own) if own else self.law  # pyright: ignore
@@ -112,7 +110,6 @@ class Material:
         return False
 
     def check_free(self, names: tuple[str, ...]) -> None:
-        """Check that constants can be free."""
         if not names:
             raise InputError(f"no constant is free; {self.law.name!r} has {', '.join(self.names)}")
         for name in names:
@@ -139,8 +136,7 @@ class Material:
         if name in self.given:
             accepted = f"from {low:g} on" if math.isinf(high) else f"{low:g} to {high:g}"
             raise InputError(
-                f"{name} starts at {value:g}, which is a bound of what the law {self.law.name!r} "
-                f"accepts, {accepted}: give a start inside, or none"
+                f"{name} starts at {value:g}, on a bound ({accepted}): give a start inside, or none"
             )
         return False
 

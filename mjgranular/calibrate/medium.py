@@ -1,7 +1,5 @@
 """The medium before a fit, and the one that results from it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import MISSING, asdict, fields, replace
@@ -52,8 +50,7 @@ def known_medium(
     for field in fields(kind):  # pyright: ignore[reportArgumentType]
         if field.default is MISSING and field.name not in own and field.name not in stated:
             raise InputError(
-                f"{where}: the law {kind.name!r} needs the constant {field.name!r}: give what you "
-                "know or guess, a fit starts there"
+                f"{where}: the law {kind.name!r} needs the constant {field.name!r}: give a guess"
             )
     try:
         return Medium(
@@ -120,7 +117,6 @@ def _law_class(law: str | Law | None, base: Medium | None, where: str) -> type[L
 
 
 def _numbers_of(kind: type[Law]) -> list[str]:
-    """Return the names of a law's numeric fields."""
     hints = get_type_hints(kind)
     every = fields(kind)  # pyright: ignore[reportArgumentType]
     return [field.name for field in every if hints[field.name] in (float, int)]
@@ -178,7 +174,6 @@ def fitted_medium(result: FitResult, name: str, *, source: str = "") -> Medium:
 
 
 def _found(result: FitResult, constant: str, source: str) -> str:
-    """Return the source of a constant."""
     to = f"fitted by mjgranular fit to {source}" if source else "fitted by mjgranular fit"
     if constant in result.values:
         return f"{to}; {_interval(result, constant)}"

@@ -1,7 +1,5 @@
 """One motion, measured or simulated, and errors of one against the other."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -4,24 +4,15 @@
     runs:
       - {name: slow, kind: drop, body: {shape: sphere, diameter: 0.0254, mass: 0.0692},
          speed: 1.0, data: slow.csv}
-      - {name: rod, kind: drop, body: {shape: capsule, length: 0.1, diameter: 0.01, mass: 0.0605},
-         speed: 2.0, angle: 45, data: rod.csv}
-      - {name: plate, kind: intrude, body: {shape: plate, length: 0.02, diameter: 0.005},
-         speed: 0.05, data: plate.csv}
-      - {name: drawn, kind: drag, body: {shape: plate, length: 0.016, diameter: 0.001},
-         angle: 90, depth: 0.028, data: drawn.csv}
       - {name: leg, kind: turn, body: {file: leg.xml}, speed: 0.2, data: leg.csv}
 
-A body from an MJCF file has a joint for each prescribed motion: `x`, `y` and `z` slide, `turn` is a
-hinge. At `qpos0` its lowest point is at the surface; for a turning leg, the hip is at its height. A
-walking robot starts at its first keyframe, and its legs are all hinges but `pitch`.
+docs/calibration.md has all keys. At `qpos0` of a body from an MJCF file its lowest point is at the
+surface; for a turning leg, the hip is at its height.
 
 A set of runs that laws are scored against is a folder with such a file, `runs.yaml`, and
 `about.json`: `title`, `source`, the `marks` of runs by name, and the names of runs that are
 `guided` (the body keeps its angle) or recorded only `to_the_stop` of the lowest point.
 """
-
-from __future__ import annotations
 
 import json
 import math
@@ -33,16 +24,14 @@ from typing import Any, get_args
 import numpy as np
 
 from mjgranular._util.io import place, read_file
-from mjgranular.calibrate.fall import GRAVITY
 from mjgranular.calibrate.fit import Fit
 from mjgranular.calibrate.medium import check_mapping, known_medium, number
 from mjgranular.calibrate.motion import Motion
-from mjgranular.calibrate.runs import COLUMNS, Body, Kind, MeasuredRun, Run, RunSet
-from mjgranular.calibrate.table import read_table
+from mjgranular.calibrate.runs import COLUMNS, Body, Kind, MeasuredRun, Run, RunSet, read_table
+from mjgranular.calibrate.trial import GRAVITY
 from mjgranular.errors import InputError, UnknownNameError, shown
 from mjgranular.law import Law, Rft3dLaw
 from mjgranular.medium.file import read_outline_file
-from mjgranular.models import Projectile
 
 LARGEST = 1_000_000
 """Size up to which a file is read [bytes]; chosen."""
@@ -69,7 +58,7 @@ def read_fit(
     Data files are searched next to it. Angles are in degrees there.
 
     Args:
-        path: path of the file.
+        path: the file.
         law: a law, or its name; None for that of the medium that the file is based on.
         free: names of the constants to fit.
         hold_out: names of runs that are predicted only.
@@ -167,7 +156,6 @@ def _run(entry: dict[str, Any], where: str, path: Path) -> Run | MeasuredRun:
 def _measured_run(
     entry: dict[str, Any], where: str, path: Path, *, about: dict[str, Any]
 ) -> MeasuredRun:
-    """Return a run to score laws against."""
     name, kind = entry["name"], entry["kind"]
     if kind not in get_args(Kind):
         raise UnknownNameError("kind of run", kind, get_args(Kind))
@@ -175,6 +163,13 @@ def _measured_run(
     numbers = _numbers(entry, where)
     if entry.get("body") is None:
         raise InputError(f"{where} needs body, such as {{shape: sphere, diameter: 0.0254}}")
+    if isinstance(entry["body"], dict) and set(entry["body"]) == {"file"}:
+        body = path.parent / str(entry["body"]["file"])
+    else:
+        shape = _body(entry["body"], f"{where}.body")
+        if kind == "drop" and not shape.is_heavy:
+            raise InputError(f"{where}.body: a body that is dropped needs its mass [kg]")
+        body = shape.projectile
     found: dict[str, Any] = read_table(
         path.parent / entry["data"], *COLUMNS[kind], _columns(entry, where)
     )
@@ -185,7 +180,7 @@ def _measured_run(
     return MeasuredRun(
         name=name,
         kind=kind,
-        body=_body_or_file(entry["body"], kind, f"{where}.body", path),
+        body=body,
         motion=Motion(**found, to_the_stop=name in about["to_the_stop"]),
         guided=name in about["guided"],
         mark=about["marks"].get(name, "seen"),
@@ -199,20 +194,10 @@ def _numbers(entry: dict[str, Any], where: str, keys: Sequence[str] = _NUMBERS) 
 
 
 def _columns(entry: dict[str, Any], where: str) -> dict[str, str]:
-    """Return the headings of columns by their names."""
     columns = entry.get("columns") or {}
     if not (isinstance(columns, dict) and all(isinstance(c, str) for c in columns.values())):
         raise InputError(f"{where}.columns maps names such as force to headings of the file")
     return columns
-
-
-def _body_or_file(entry: Any, kind: str, where: str, path: Path) -> Projectile | Path:
-    if isinstance(entry, dict) and set(entry) == {"file"}:
-        return path.parent / str(entry["file"])
-    body = _body(entry, where)
-    if kind == "drop" and not body.is_heavy:
-        raise InputError(f"{where}: a body that is dropped needs its mass [kg]")
-    return body.projectile
 
 
 def _body(entry: Any, where: str) -> Body:

@@ -1,9 +1,10 @@
 """Measured runs: what was done, with which body, and what was measured."""
 
-from __future__ import annotations
-
+import csv
+import io
 import math
-from collections.abc import Mapping
+import re
+from collections.abc import Iterable, Mapping
 from dataclasses import KW_ONLY, dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
@@ -13,10 +14,10 @@ import mujoco
 import numpy as np
 
 from mjgranular._util.checks import is_finite
-from mjgranular._util.io import place
+from mjgranular._util.io import place, read_file
+from mjgranular._util.parse import parse_number
 from mjgranular.calibrate.motion import Motion
-from mjgranular.calibrate.table import read_table
-from mjgranular.errors import InputError, UnknownNameError, shown
+from mjgranular.errors import InputError, UnknownNameError, listed, shown
 from mjgranular.medium import Medium
 from mjgranular.models import Projectile
 from mjgranular.models.projectile import Shape
@@ -81,7 +82,6 @@ class Body:
         return max(self.diameter, self.length or 0.0)
 
     def describe(self) -> str:
-        """Return a short description."""
         size = f"{self.diameter * 1e3:g} mm"
         if self.length is not None and self.shape != "sphere":
             size = f"{self.length * 1e3:g} x {size}"
@@ -234,7 +234,6 @@ class MeasuredRun:
     """A run to score a law against, SI units and degrees.
 
     Attributes:
-        name: name of the run.
         kind: "drop": released at the surface; "intrude": pushed straight down at constant speed;
             "drag": dragged along the surface at constant depth, one speed per row; "turn": a leg
             that turns about its hip, one angle per row; "roll": a wheel with given sinkage, speed
@@ -329,7 +328,6 @@ class RunSet:
         title: a short description.
         source: author or publication.
         medium: the known properties of the sand.
-        runs: the runs.
     """
 
     name: str
@@ -339,7 +337,6 @@ class RunSet:
     runs: tuple[MeasuredRun, ...] = field(repr=False)
 
     def __getitem__(self, name: str) -> MeasuredRun:
-        """Return the run of a name."""
         for run in self.runs:
             if run.name == name:
                 return run
@@ -363,3 +360,119 @@ def load_machine(file: Path) -> mujoco.MjSpec:
         return mujoco.MjSpec.from_file(str(file))
     except ValueError as error:
         raise InputError(f"{place(file)} is not a model: {error}") from None
+
+
+# Tables of measurements: CSV columns found by name, converted to SI units
+
+_LARGEST = 50_000_000
+"""Size up to which a table is read [bytes]; chosen."""
+
+_TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
+_LENGTHS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2}
+_FORCES = {"n": 1.0, "mn": 1e-3, "kn": 1e3}
+_ANGLES = {"deg": 1.0, "degrees": 1.0, "rad": 180.0 / np.pi}
+_HEADINGS: dict[str, tuple[tuple[str, ...], dict[str, float]]] = {
+    "time": (("time", "t"), _TIMES),
+    "depth": (("depth",), _LENGTHS),
+    "force": (("force", "f", "resistance"), _FORCES),
+    "pitch": (("pitch", "angle"), _ANGLES),
+    "speed": (("speed", "velocity", "v"), {"m/s": 1.0, "mm/s": 1e-3, "cm/s": 1e-2}),
+    "lift": (("lift",), _FORCES),
+    "side": (("side force", "side"), _FORCES),
+    "angle": (("angle",), _ANGLES),
+    "spin": (("spin",), {"rad/s": 1.0}),
+    "rate": (("rate",), {"hz": 1.0}),
+}
+"""Headings of each column, and factors of its units, in lower case."""
+
+
+def read_table(
+    path: Path,
+    needed: Iterable[str],
+    optional: Iterable[str] = (),
+    columns: Mapping[str, str] | None = None,
+) -> dict[str, np.ndarray]:
+    """Read needed and optional columns of a CSV file, in SI units and degrees.
+
+    A heading is a name with its unit, `depth [mm]`, `depth (mm)` or `depth_mm`; without one it is
+    SI. Other columns are ignored, as are lines that start with `#`. `columns` has other headings.
+    """
+    known, columns = (*needed, *optional), columns or {}
+    for column in columns:
+        if column not in known:
+            raise UnknownNameError(f"column of {place(path)}", column, known)
+    text = read_file(path, "the measurement", largest=_LARGEST).decode("utf-8-sig", "replace")
+    name = place(path)
+    try:
+        rows = [
+            (line, row)
+            for line, row in enumerate(csv.reader(io.StringIO(text)), 1)
+            if any(cell.strip() for cell in row) and not row[0].startswith("#")
+        ]
+    except csv.Error as error:
+        raise InputError(f"{name} is not a table: {error}; a quote may not be closed") from None
+    if not rows:
+        raise InputError(f"{name} is empty: a table has a line of headings and rows of numbers")
+    headings = [cell.strip() for cell in rows[0][1]]
+    if None not in map(parse_number, headings):
+        raise InputError(
+            f"{name} begins with numbers: its first line must name the columns, such as time,depth"
+        )
+    if len(rows) == 1:
+        raise InputError(f"{name} has headings and no row of numbers")
+    found = {}
+    for column in known:
+        index = _find(headings, column, columns.get(column), name)
+        if index is not None:
+            found[column] = index
+        elif column in needed:
+            raise InputError(
+                f"{name} has no column {column!r}: it has {listed(headings)}; name the one that is "
+                f"meant with columns: {{{column}: HEADING}}"
+            )
+    return {
+        column: _factor(headings[index], column, name)
+        * np.array([_number(row, index, line, name) for line, row in rows[1:]])
+        for column, index in found.items()
+    }
+
+
+def _find(headings: list[str], column: str, called: str | None, name: str) -> int | None:
+    if called is not None and called not in headings:
+        raise InputError(f"{name} has no column {shown(called)}: it has {listed(headings)}")
+    plain = headings if called else [_split(heading, column)[0] for heading in headings]
+    chosen = called or next((known for known in _HEADINGS[column][0] if known in plain), None)
+    if chosen is None:
+        return None
+    if plain.count(chosen) > 1:
+        raise InputError(f"{name} has {plain.count(chosen)} columns {shown(chosen)}: rename one")
+    return plain.index(chosen)
+
+
+def _split(heading: str, column: str) -> tuple[str, str | None]:
+    """Return the name and unit of a heading, both in lower case; None for no unit."""
+    text = heading.lower()
+    bracket = re.fullmatch(r"(.*?)\s*[\[(]\s*(.*?)\s*[\])]", text)
+    if bracket:
+        return bracket[1].strip(), bracket[2]
+    stem, _, tail = text.rpartition("_")
+    if stem and tail in _HEADINGS[column][1]:
+        return stem, tail
+    return text, None
+
+
+def _factor(heading: str, column: str, name: str) -> float:
+    unit, units = _split(heading, column)[1], _HEADINGS[column][1]
+    if unit is not None and unit not in units:
+        raise InputError(
+            f"{name}: {shown(heading)} must be in one of {listed(units)}, got {shown(unit)}"
+        )
+    return 1.0 if unit is None else units[unit]
+
+
+def _number(row: list[str], index: int, line: int, name: str) -> float:
+    cell = row[index].strip() if index < len(row) else ""
+    number = parse_number(cell)
+    if number is None or not np.isfinite(number):
+        raise InputError(f"{name}, line {line}: {shown(cell)} is not a finite number")
+    return number

@@ -1,20 +1,34 @@
 """A run as the fit sees it: measured data row by row, and the prediction for a material."""
 
-from __future__ import annotations
-
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
+import mujoco
 import numpy as np
 
 from mjgranular.calibrate.material import Material
-from mjgranular.calibrate.motion import Errors, Motion, compare, rms
+from mjgranular.calibrate.motion import Errors, Motion, compare, relative, rms
 from mjgranular.calibrate.runs import MeasuredRun, Run
-from mjgranular.calibrate.simulate import MOVES, Simulator, place, simulator_of, way_of
+from mjgranular.calibrate.simulate import (
+    MOVES,
+    Simulator,
+    lowest_depth,
+    place,
+    simulator_of,
+    way_of,
+)
 from mjgranular.errors import InputError, UnstableError, shown
+from mjgranular.experiment.drop import Drop, load, start_from
+from mjgranular.sand.chosen import geoms_in_sand
+from mjgranular.sand.spec import SandSpec
+from mjgranular.scheme import Implicit
+from mjgranular.shape.select import find_all
+from mjgranular.surface import Plane
+from mjgranular.surface.floors import WOULD_CARRY, describe_floors, find_floors
 
 _POINTS = 41  # points at which the force of a smooth path is computed; linear in between
 _PUSH_SPEED = 0.01  # default speed of a push [m/s]: slow
@@ -134,10 +148,10 @@ class PushTrial(Trial):
             count = inside.sum() or "no contact"
             raise InputError(f"{where}: a {run.kind} needs 2 or more rows in the sand, got {count}")
         rows = {name: values[inside] for name, values in measured.items()}
-        if rows["force"].mean() <= 0:
+        mean = rows["force"].mean()
+        if mean <= 0:
             raise InputError(
-                f"{where}: the mean force must be positive, that of the sand against the motion, "
-                f"got {rows['force'].mean():.3g} N"
+                f"{where}: the mean force against the motion must be positive, got {mean:.3g} N"
             )
         self.places = rows[self.axis]
         self.series = _series({name: rows.get(name) for name in names})
@@ -200,6 +214,301 @@ def _check_depth(depth: float, run: Run, where: str) -> None:
     raise InputError(f"{what} is not plausible: check the units")
 
 
+# Dropped bodies: depth, and optionally pitch, over time
+
+GRAVITY = 9.81  # as for all dropped bodies (models/link.xml) [m/s^2]
+
+_BEGINNING = 0.1  # part of the depth within which a fall is nearly uniform; chosen
+_NEAR_STOP = 0.75  # part of the depth beyond which a stop is searched; chosen
+_USUAL = 0.6  # ratio of `_PLAUSIBLE` for a body with constant deceleration
+_END = 0.1  # part of the rows over which the final depth is averaged; chosen
+_PLAUSIBLE = (0.02, 1.5)  # mean speed on the way down over that of a free fall; chosen, wide
+_OTHER_UNITS = (("depth", "mm", 1e-3, 1.0), ("depth", "cm", 1e-2, 1.0), ("time", "ms", 1.0, 1e-3))
+_TIMES = 200  # number of stopping times tried
+_STAYS = 0.03  # parts of its range within which a curve counts as settled; chosen
+
+_STEPS = 100  # steps of a simulated record, and twice that; chosen by trials, see `simulate`
+_STEP_RANGE = (1e-5, 5e-4)  # range of the time step [s]; chosen
+_AFTER = 1.5  # rows are used up to this many times the time to rest: later rows add nothing
+_BEFORE = 0.1  # and from this part of it before the touch: rows in the air do not depend on sand
+_LEAST_PITCH = 10.0  # scale of a pitch that hardly changes [degrees]; chosen
+_TOUCH = 0.03  # parts of the depth by which the first touch may be off; chosen
+
+
+class Arrest(NamedTuple):
+    """Final depth [m], and the time at which the lowest point stops, after the touch [s]."""
+
+    depth: float
+    time: float | None = None
+
+
+def find_touch(time: np.ndarray, depth: np.ndarray, speed: float) -> float:
+    """Return the time at which the lowest point touches the sand, from the rows around it [s].
+
+    Above the sand the body falls freely; in the first tenth of its path the deceleration is
+    constant.
+    """
+    greatest = depth.max()
+    beyond = np.flatnonzero(depth > 3 * _BEGINNING * greatest)[0]
+    early = np.flatnonzero(depth[: beyond + 1] < _BEGINNING * greatest)
+    if speed == 0:
+        return float(time[0])
+    rows = early if len(early) else np.array([0])
+    t, d = time[rows], depth[rows]
+    square = speed**2 + 2 * GRAVITY * np.minimum(d, 0.0)
+    falling = square > (0.05 * speed) ** 2  # before that the body was held
+    if not falling.any():
+        falling = np.ones(len(d), bool)
+    above = (np.sqrt(np.maximum(square, 0.0)) - speed) / GRAVITY
+    below = d / speed * (1 + d / (4 * greatest))
+    since = np.where(d > 0, below, above)
+    return float(np.median((t - since)[falling]))
+
+
+def find_arrest(since: np.ndarray, depth: np.ndarray) -> Arrest:
+    """Find where a fall ends, in the same way for measurements with noise and for computed curves.
+
+    With constant deceleration at the end, `d = D - a (T - t)^2 / 2` before the body stops: D, a and
+    T are fitted to the last quarter of the path. If the body rolls over afterwards, only the part
+    before it rises again counts.
+    """
+    count = max(1, round(_END * len(depth)))
+    final = float(depth[-count:].mean())
+    width = max(1, len(depth) // 25)
+    smooth = np.convolve(depth, np.ones(width) / width, mode="valid")
+    middle = since[width // 2 : width // 2 + len(smooth)]
+    top = smooth.max()
+    first = int(np.argmax(smooth > _NEAR_STOP * top))
+    low = np.flatnonzero(smooth[int(np.argmax(smooth)) :] < 0.97 * top)
+    end = middle[min(len(middle) - 1, int(np.argmax(smooth)) + int(low[0]))] if len(low) else None
+    rows = (since >= middle[first]) & (since <= (since[-1] if end is None else end))
+    t, d = since[rows], depth[rows]
+    if len(t) < 5:
+        return Arrest(final)
+    best, at = math.inf, None
+    for stop in np.linspace(t[0], t[-1], _TIMES)[1:]:
+        basis = np.column_stack([np.ones(len(t)), np.maximum(stop - t, 0.0) ** 2])
+        solution, *_ = np.linalg.lstsq(basis, d, rcond=None)
+        error = float(((basis @ solution - d) ** 2).sum())
+        if error < best:
+            best, at = error, stop
+    last = t[-1] - 1.5 * (t[-1] - t[0]) / _TIMES
+    return Arrest(final, None if at is None or at >= last else float(at))
+
+
+def check_units(time: np.ndarray, depth: np.ndarray, speed: float, size: float, where: str) -> None:
+    """Check that depths and times are plausible in meters and seconds; guess the unit if not."""
+    greatest = float(depth.max())
+    near = np.flatnonzero(depth >= 0.9 * greatest)[0]
+    begin = np.flatnonzero(depth[: near + 1] <= _BEGINNING * greatest)
+    took = float(time[near] - time[begin[-1] if len(begin) else 0])
+    took = max(took, float(np.diff(time).min()))
+    low, high = _PLAUSIBLE
+
+    def ratio(meter: float = 1.0, second: float = 1.0) -> float:
+        """Return the mean speed over that of a free fall, with other units of the file."""
+        t = took * second
+        return 0.9 * greatest * meter / (speed * t + GRAVITY * t**2 / 2)
+
+    if low <= ratio() <= high and greatest <= 50 * size:
+        return
+    guesses = [
+        (abs(math.log(ratio(meter, second) / _USUAL)), f"{column} [{unit}]")
+        for column, unit, meter, second in _OTHER_UNITS
+        if low < ratio(meter, second) < high and greatest * meter < 20 * size
+    ]
+    hint = "check the units of time, depth and speed"
+    if guesses:
+        column = min(guesses)[1]
+        hint = f"it looks like {column.split('[')[1][:-1]}; name the column '{column}'"
+    raise InputError(
+        f"{where}: {greatest:.4g} m deep after {took:.3g} s at {speed:g} m/s is implausible: {hint}"
+    )
+
+
+def settling(since: np.ndarray, values: np.ndarray) -> float:
+    """Return when a curve has settled to its end value but for noise, else its last time."""
+    width = max(1, len(values) // 20)
+    smooth = np.convolve(values, np.ones(width) / width, mode="valid")
+    away = np.flatnonzero(np.abs(smooth - smooth[-1]) > _STAYS * np.ptp(smooth))
+    last = min(len(since) - 1, int(away[-1]) + width) if len(away) else 0
+    return float(since[last])
+
+
+def check_record(time: np.ndarray, depth: np.ndarray, where: str) -> None:
+    """Check that a record has enough rows, increasing times and contact."""
+    if len(time) < 4:
+        raise InputError(f"{where}: a trajectory needs at least 4 rows, got {len(time)}")
+    back = np.flatnonzero(np.diff(time) <= 0)
+    if len(back):
+        row = int(back[0])
+        raise InputError(
+            f"{where}, row {row + 2}: times must grow, got {time[row + 1]:g} after {time[row]:g} s"
+        )
+    if depth.max() <= 0:
+        raise InputError(
+            f"{where}: no contact: depths, positive downward, are at most {depth.max():.4g} m"
+        )
+
+
+class DropTrial(Trial):
+    """A drop of a body of simple shape."""
+
+    carries = 3
+    axis = "time"
+
+    def __init__(self, run: Run) -> None:
+        self.run = run
+        self._where = f"run {shown(run.name)}"
+        self._speed = run.speed or 0.0
+        self.speeds = (self._speed,)
+        measured = run.measured()
+        time, depth = measured["time"], measured["depth"]
+        check_record(time, depth, self._where)
+        if self._speed > 0 or run.body is not None:
+            size = math.inf if run.body is None else run.body.size
+            check_units(time, depth, self._speed, size, self._where)
+        falls = run.kind == "drop"  # a model starts at its first row
+        self.touch = self._touch(time, depth) if falls else float(time[0])
+        since = time - self.touch
+        curves = [np.maximum(depth, 0.0)]
+        curves += [measured["pitch"]] if "pitch" in measured else []
+        moving = max(settling(since, curve) for curve in curves)
+        before = min(_BEFORE * moving, self._speed / GRAVITY) if falls else 0.0
+        used = (since <= _AFTER * moving) & (since >= -before)
+        self.places = time[used]
+        self.series = (Series("depth", depth[used], float(depth.max())),)
+        if "pitch" in measured:
+            pitch = measured["pitch"]
+            self._check_pitch(float(pitch[0]))
+            scale = max(_LEAST_PITCH, float(np.ptp(pitch)))
+            self.series += (Series("pitch", pitch[used], scale),)
+        self.arrest = find_arrest(self.places - self.touch, depth[used])
+        self._simulator = self._make_simulator(float(self.places[-1] - self.touch))
+        if falls and run.touch is None and self._speed > 0:  # it is fitted with the constants
+            off = max(_TOUCH * float(depth.max()) / self._speed, float(np.median(np.diff(time))))
+            self.shift, self.shift_range = self.touch, (self.touch - off, self.touch + off)
+
+    def _touch(self, time: np.ndarray, depth: np.ndarray) -> float:
+        touch = self.run.touch
+        if touch is None:
+            return find_touch(time, depth, self._speed)
+        if not time[0] - (time[-1] - time[0]) <= touch < time[-1]:
+            raise InputError(
+                f"{self._where}: the touch at {touch} s is not in {time[0]:g} to {time[-1]:g} s"
+            )
+        return touch
+
+    def _check_pitch(self, first: float) -> None:
+        """Check the first pitch [degrees] against the angle of the run."""
+        angle = round(math.degrees(self.run.angle), 9)
+        if abs(first - angle) > 10:
+            hint = "both are that of the axis from the vertical"
+            if abs(math.degrees(first) - angle) < 10:
+                hint = "it looks like radians; name the column 'pitch [rad]'"
+            raise InputError(
+                f"{self._where}: the angle is {angle:g} and the first pitch {first:.3g} deg: {hint}"
+            )
+
+    def _make_simulator(self, duration: float) -> Simulator:
+        self._timestep = float(np.clip(duration / _STEPS, *_STEP_RANGE))
+        self._duration = duration + self._timestep
+        projectile = self.run.body.projectile
+        self._qpos = np.array(projectile.touching(self.run.angle), float)
+        self._qvel = np.array(projectile.moving(self.run.angle, self._speed, 0.0, 0.0), float)
+        return Simulator(projectile.model(self._timestep), Implicit(), ("link",))
+
+    def simulate(self, material: Material) -> Motion:
+        self._simulator.use(material)
+        late = 0.0 if self.shift is None else self.shift_range[1] - self.shift_range[0]
+        # The scheme is of first order: with 300 steps a drag would come out 1.7 % too large. The
+        # limit of two step sizes (Richardson) leaves 0.004 %.
+        steps = int(np.ceil((self._duration + late) / self._timestep))
+        path = 2 * self._path(steps, 2) - self._path(steps, 1)
+        time = self._timestep * np.arange(len(path))
+        depth = np.array([lowest_depth(self.run.body.projectile, row) for row in path])
+        return Motion(depth=depth, time=time, pitch=np.degrees(path[:, 2]))
+
+    def _path(self, steps: int, parts: int) -> np.ndarray:
+        """Return positions before and after each of `steps` steps, each divided into `parts`."""
+        simulator, timestep = self._simulator, self._timestep / parts
+        simulator.model.opt.timestep = timestep
+        qvel = self._qvel.copy()
+        # MuJoCo's velocities lie half a step before its positions (docs/scheme.md).
+        qvel[1] += timestep / 2 * GRAVITY
+        simulator.reset(self._qpos, qvel)
+        path = simulator.move(steps * parts, lambda: simulator.data.qpos, until_rest=True)
+        return np.vstack([self._qpos, path[parts - 1 :: parts]])
+
+    def since(self, shift: float | None) -> np.ndarray:
+        return self.places - (self.touch if shift is None else shift)
+
+    def predicted(self, outcome: Motion, shift: float | None) -> list[np.ndarray]:
+        since = self.since(shift)
+        above = np.minimum(since, 0.0)
+        assert outcome.time is not None
+        found = [np.interp(since, outcome.time, getattr(outcome, s.name)) for s in self.series]
+        found[0] += self._speed * above + GRAVITY / 2 * above**2
+        return found
+
+    def errors(self, outcome: Motion, shift: float | None) -> Errors:
+        found = self.predicted(outcome, shift)
+        off = [f - s.values for f, s in zip(found, self.series, strict=True)]
+        measured, predicted = self.arrest, find_arrest(self.since(shift), found[0])
+        return Errors(
+            depth=predicted.depth / measured.depth - 1,
+            stopping_time=relative(measured.time, predicted.time),
+            trajectory=rms(off[0]) / self.series[0].scale,
+            pitch=rms(off[1]) if len(off) > 1 else None,
+            measured_depth=measured.depth,
+            predicted_depth=predicted.depth,
+            measured_stopping_time=measured.time,
+            predicted_stopping_time=predicted.time,
+        )
+
+
+class ModelTrial(DropTrial):
+    """A body of a custom model: it starts from its keyframe at the first row of the record."""
+
+    def _make_simulator(self, duration: float) -> Simulator:
+        run = self.run
+        model, _ = load(Drop(run.model, keyframe=run.keyframe))
+        (body,) = find_all(model, "body", run.model_body)
+        floors = find_floors(model, geoms_in_sand(model, SandSpec()), Plane())
+        if floors:
+            raise InputError(
+                f"{self._where}: {describe_floors(model, floors, WOULD_CARRY)}: remove it from the "
+                "model, the sand is in its place"
+            )
+        data = mujoco.MjData(model)
+        start_from(model, data, run.keyframe)
+        self._body, self._steps = body, int(np.ceil(duration / model.opt.timestep)) + 2
+        self._qpos, self._qvel = data.qpos.copy(), data.qvel.copy()
+        if self._speed:
+            joint = model.body_jntadr[model.body_rootid[body]]
+            if joint < 0 or model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_FREE:
+                raise InputError(
+                    f"{self._where}: a speed is for a free joint; use a keyframe with velocities"
+                )
+            self._qvel[model.jnt_dofadr[joint] + 2] -= self._speed
+        return Simulator(model, Implicit())
+
+    def simulate(self, material: Material) -> Motion:
+        simulator = self._simulator
+        simulator.use(material)
+        if not len(simulator.depths_of(self._body)):
+            raise InputError(f"the body {self.run.model_body!r} does not meet the sand")
+        simulator.reset(self._qpos, self._qvel)
+        depth = simulator.move(self._steps, lambda: simulator.depths_of(self._body).max())
+        return Motion(depth=depth, time=simulator.model.opt.timestep * np.arange(len(depth)))
+
+    def predicted(self, outcome: Motion, shift: float | None) -> list[np.ndarray]:
+        assert outcome.time is not None
+        return [np.interp(self.since(None), outcome.time, outcome.depth)]
+
+
+# All runs of a fit
+
 _FAR = 10.0  # residual of a run that diverged: ten times what was measured
 _FINE = 1e-3  # relative step of a difference; chosen: the error of central ones is its square
 _KEPT = 64  # outcomes that are kept
@@ -235,18 +544,15 @@ class Problem:
         return np.concatenate([constants[: self.count], self.range[self.count :]])
 
     def start(self) -> np.ndarray:
-        """Return the initial unknowns."""
         constants = [self.material.value(name) for name in self.free]
         shifts = [self.trials[k].shift for k in self.shifted]
         return np.array([*constants, *shifts], float)
 
     def material_at(self, x: np.ndarray) -> Material:
-        """Return the material with those constants."""
         values = {name: float(value) for name, value in zip(self.free, x, strict=False)}
         return self.material.changed(values)
 
     def shift_of(self, x: np.ndarray, trial: int) -> float | None:
-        """Return the touch of a run."""
         if trial not in self.shifted:
             return None
         return float(x[self.count + self.shifted.index(trial)])
@@ -305,5 +611,4 @@ class Problem:
 
 
 def _slices(lengths: Sequence[int]) -> list[slice]:
-    """Return slices of these lengths, one after the other."""
     return [slice(a, b) for a, b in pairwise(np.cumsum([0, *lengths]).tolist())]

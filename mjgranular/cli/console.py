@@ -1,7 +1,5 @@
 """Output of the command line: results on standard output, all else on standard error."""
 
-from __future__ import annotations
-
 import json
 import logging
 import math

@@ -1,7 +1,5 @@
 """`mjgranular drop`: your own model on sand."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated
@@ -34,7 +32,6 @@ class DropCommand(FilmOptions, options_of(Drop, without=("model",))):
     """The MJCF file, or a robot of MuJoCo Menagerie by its name, such as unitree_go1."""
 
     def run(self) -> int:
-        """Run the command."""
         self.check_film()
         drop, camera = self.experiment(), self.camera or "free"
         if self.video and self.camera is not None:
@@ -75,7 +72,6 @@ def _film(folder: ResultFolder, result: DropResult, camera: str) -> None:
 
 
 def _show(result: DropResult) -> None:
-    """Print a run as a table."""
     title = (
         f"{result.drop.title} on {result.medium}: {result.law} law, {result.elements} elements, "
         f"{result.t[-1]:g} s in steps of {result.timestep:g} s"

@@ -1,7 +1,5 @@
 """`mjgranular elements`: the elements into which a law cuts a model."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
@@ -46,7 +44,6 @@ class ElementsCommand(options_of(Drop, *_CHOICE)):
     """Print JSON instead of a table."""
 
     def run(self) -> int:
-        """Run the command."""
         if self.figure is None:
             if self.color != "body":
                 raise InputError("--color is for a figure: add --figure FILE")
@@ -77,7 +74,6 @@ class ElementsCommand(options_of(Drop, *_CHOICE)):
         return sand, data.qpos
 
     def _show(self, sand: Sand) -> None:
-        """Print sums over the elements."""
         kind, rows, cost = kind_of(sand), list(_rows(sand)), Cost.of(len(sand.elements), Implicit())
         sums = {"area": ("area\n[cm^2]", 1e4), "length": ("length\n[mm]", 1e3)}
         totals: dict[str, Any] = {"elements": len(sand.elements)}

@@ -1,7 +1,5 @@
 """`mjgranular evaluate`: returns of agents over many seeds; agents named on the command line."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -22,6 +20,23 @@ from mjgranular.learn.agents import BASELINES, Agent, make_baseline
 from mjgranular.learn.evaluate import FIRST_SEED, Score, check_seeds, evaluate, parse_variant
 from mjgranular.learn.policies import Policy, load_policy
 from mjgranular.learn.sands import Sands, sands_of
+
+
+@dataclass(frozen=True)
+class Actor:
+    """Agent and environment, by the id and with the arguments of Gymnasium."""
+
+    name: str
+    environment: str
+    arguments: Mapping[str, Any]
+    agent: Policy | str  # a policy, or the name of a baseline
+    gait: Mapping[str, float] | None = None  # parameters that differ from the defaults
+
+    def make(self, env: Any) -> Agent:
+        """Return the agent for an environment, or for several."""
+        if isinstance(self.agent, str):
+            return make_baseline(self.agent, self.environment, env, gait=self.gait)
+        return self.agent.checked(self.environment, env)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,7 +66,6 @@ class EvaluateCommand(OutputOptions):
     """Import and so execute the module of an environment that only a run's file names."""
 
     def run(self) -> int:
-        """Run the command."""
         jobs, seeds = self._jobs(), {"seeds": self.seeds, "first_seed": self.first_seed}
         with self.claimed(CONFIG, SUMMARY) as folder:
             scores = []
@@ -123,23 +137,6 @@ def table_of(scores: list[Score], seeds: int) -> Table:
 def _share_valid(score: Score) -> str:
     valid = score.figure("sand/valid")
     return "" if valid is None else f"{valid.mean:.0%}"
-
-
-@dataclass(frozen=True)
-class Actor:
-    """Agent and environment, by the id and with the arguments of Gymnasium."""
-
-    name: str
-    environment: str
-    arguments: Mapping[str, Any]
-    agent: Policy | str  # a policy, or the name of a baseline
-    gait: Mapping[str, float] | None = None  # parameters that differ from the defaults
-
-    def make(self, env: Any) -> Agent:
-        """Return the agent for an environment, or for several."""
-        if isinstance(self.agent, str):
-            return make_baseline(self.agent, self.environment, env, gait=self.gait)
-        return self.agent.checked(self.environment, env)
 
 
 def find_actor(

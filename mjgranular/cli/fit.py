@@ -1,7 +1,5 @@
 """`mjgranular fit`: a medium from measurements."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
@@ -51,7 +49,6 @@ class FitCommand:
     """Print one JSON object instead of tables."""
 
     def run(self) -> int:
-        """Run the command."""
         fit = read_fit(self.runs, law=law_named(self.law), free=self.free, hold_out=self.hold_out)
         if self.out is None:
             self._show(_run(fit))

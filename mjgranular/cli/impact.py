@@ -1,7 +1,5 @@
 """`mjgranular impact`: one drop of the link, of another body or of a chain; the paper's table."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Any
@@ -35,7 +33,6 @@ class ImpactCommand(FilmOptions, options_of(Impact)):
     """
 
     def run(self) -> int:
-        """Run the command."""
         self.check_film()
         if self.body == "sphere" and self.length != Impact.length:
             raise InputError("a sphere has no --length: its size is its --diameter")

@@ -1,7 +1,5 @@
 """`mjgranular intrude`: force on an intruder that is moved on a prescribed path."""
 
-from __future__ import annotations
-
 import csv
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -27,7 +25,6 @@ class IntrudeCommand(OutputOptions, options_of(Intrusion)):
     """
 
     def run(self) -> int:
-        """Run the command."""
         intrusion = self.experiment()
         problems: list[GranularError] = []
         with self.claimed(CONFIG, SUMMARY, _CSV, _FIGURE) as folder:
@@ -48,7 +45,6 @@ class IntrudeCommand(OutputOptions, options_of(Intrusion)):
         return self.finish(problems)
 
     def experiment(self) -> Intrusion:
-        """Return the experiment."""
         for name in given_options(self, "intruder", "size") if self.model is not None else ():
             raise InputError(f"the intruder is a shape or of a model: omit --model or --{name}")
         if self.distance is not None and given_options(self, "depth"):

@@ -1,7 +1,5 @@
 """`mjgranular list`: media, laws, policies and environments, with their sources."""
 
-from __future__ import annotations
-
 import inspect
 from dataclasses import MISSING, asdict, dataclass, fields
 from typing import Annotated, Any, Literal
@@ -37,7 +35,6 @@ class ListCommand:
     """Print JSON instead of a table."""
 
     def run(self) -> int:
-        """Run the command."""
         kinds = {
             "media": (_media, _medium),
             "laws": (_laws, _law),

@@ -1,7 +1,5 @@
 """Runs a command; a user's mistake becomes one line and exit status 2."""
 
-from __future__ import annotations
-
 import os
 import sys
 import warnings

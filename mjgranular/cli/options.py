@@ -1,7 +1,5 @@
 """Options of commands: made from dataclasses of experiments, parsed, named in messages, shared."""
 
-from __future__ import annotations
-
 import inspect
 import math
 import re

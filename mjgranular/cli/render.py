@@ -1,7 +1,5 @@
 """`mjgranular render`: a film of a saved run."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -55,13 +53,11 @@ class RenderCommand(options_of(Film, "seconds", "width", "height", "fps")):
     """Replace a film that exists."""
 
     def run(self) -> int:
-        """Run the command."""
         command = self._command()
         draws = {"impact": self._impact, "drop": self._model, TRAINING: self._policy}
         if command not in draws:
             raise InputError(
-                f"{self.run_folder} holds the result of '{command}'; a film can be made of an "
-                "impact, of a drop or of a training run"
+                f"a film is of an impact, drop or training run; {self.run_folder} is of '{command}'"
             )
         target = self.out or self.run_folder / _DEFAULT_FILES[command]
         if target.suffix != ".mp4":

@@ -1,7 +1,5 @@
 """`mjgranular sweep`: an experiment many times, with any of its fields varied."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import math
@@ -68,7 +66,6 @@ class SweepCommand(OutputOptions):
     """Number of processes. Default: one per core."""
 
     def run(self) -> int:
-        """Run the command."""
         workers = Workers(self.engine, self.workers, self.address)
         study = self._study()
         journal = journal_of(study, self.out)
@@ -105,7 +102,8 @@ class SweepCommand(OutputOptions):
             if fault is not None and (self.out / UNFINISHED).exists():
                 note(f"the unfinished sweep in {self.out} cannot be resumed: {fault}")
             claim = ResultFolder(self.out, (*names, UNFINISHED))
-            with claim.claimed(overwrite=self.overwrite, goes_on=journal.can_resume) as folder:
+            options = {"overwrite": self.overwrite, "goes_on": lambda: journal.fault() is None}
+            with claim.claimed(**options) as folder:
                 try:
                     journal.begin()
                     if journal.count:
@@ -136,7 +134,6 @@ class SweepCommand(OutputOptions):
                 note(f"no figure: {error}")
 
     def _status(self, result: StudyResult) -> int:
-        """Print failures; return the exit status."""
         for failure in result.failures[:_FAILURES_SHOWN]:
             show_error(result.describe(failure))
         if result.failed > _FAILURES_SHOWN:
@@ -163,7 +160,6 @@ def _print_rows(result: StudyResult) -> None:
 
 
 def _show(result: StudyResult) -> None:
-    """Print the first rows as a table."""
     study = result.study
     axes = [axis_of(column_of(name)) for name in study.vary]
     axes += OUTCOMES[type(study.experiment).__name__.lower()]

@@ -1,7 +1,5 @@
 """`mjgranular train`: a policy for an environment."""
 
-from __future__ import annotations
-
 import importlib
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -61,7 +59,6 @@ class TrainCommand:
     """Print one JSON object at the end."""
 
     def run(self) -> int:
-        """Run the command."""
         if self.device is not None and self.engine != "warp":
             raise InputError("--device is for --engine warp")
         run = self._new_run() if self.resume is None else self._saved_run(self.resume)
@@ -138,7 +135,6 @@ class TrainCommand:
             return train(run, report=report, warp=warp)
 
     def _show(self, run: Run, training: Training) -> int:
-        """Print the result; return the exit status."""
         progress, stopped_by = training.progress, training.stopped_by
         means = mean_returns(progress.curve, run.settings.num_envs)
         newest = means[-1][1] if means else None
@@ -164,10 +160,7 @@ class TrainCommand:
             )
             return 128 + stopped_by
         if progress.steps == training.began:
-            note(
-                f"nothing to do: the run has its {progress.steps} steps; use a greater "
-                "--total-steps to continue"
-            )
+            note(f"nothing to do: the run has {progress.steps} steps; use a greater --total-steps")
         return 0
 
 

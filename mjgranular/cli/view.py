@@ -1,7 +1,5 @@
 """`mjgranular view`: your own model on sand in a window."""
 
-from __future__ import annotations
-
 import math
 import warnings
 from contextlib import closing
@@ -53,7 +51,6 @@ class ViewCommand(options_of(Drop, without=_NOT_OPTIONS)):
     """Address of the page, by default for this computer and SSH tunnels to it."""
 
     def run(self) -> int:
-        """Run the command."""
         for name, value in (("speed", self.speed), ("duration", self.duration)):
             if value is not None and not (math.isfinite(value) and value > 0):
                 raise InputError(f"the {name} must be positive and finite, got {value}")

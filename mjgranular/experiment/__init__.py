@@ -8,9 +8,9 @@ from mjgranular.experiment.impact import ImpactResult as ImpactResult
 from mjgranular.experiment.impact import Rest as Rest
 from mjgranular.experiment.impact import Stop as Stop
 from mjgranular.experiment.impact import run_impact as run_impact
-from mjgranular.experiment.run_study import StudyResult as StudyResult
-from mjgranular.experiment.run_study import journal_of as journal_of
-from mjgranular.experiment.run_study import run_study as run_study
 from mjgranular.experiment.study import Between as Between
 from mjgranular.experiment.study import Study as Study
+from mjgranular.experiment.study import StudyResult as StudyResult
+from mjgranular.experiment.study import journal_of as journal_of
+from mjgranular.experiment.study import run_study as run_study
 from mjgranular.experiment.trajectory import Trajectory as Trajectory

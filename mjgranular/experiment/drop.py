@@ -1,7 +1,5 @@
 """A model dropped on, dragged through or placed on sand."""
 
-from __future__ import annotations
-
 import math
 import re
 import warnings
@@ -9,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import KW_ONLY, asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import mujoco
 import numpy as np
@@ -26,12 +24,7 @@ from mjgranular.errors import (
     shown,
     warn_user,
 )
-from mjgranular.experiment.ground import (
-    PlainSand,
-    hide_replaced,
-    refuse_floors,
-    warn_of_carrying,
-)
+from mjgranular.experiment.ground import PlainSand, hide_replaced, refuse_floors, warn_of_carrying
 from mjgranular.experiment.sampling import REST_WINDOW, Recorder, RestWatch, Sampler
 from mjgranular.models import robot_path
 from mjgranular.render import Tracks
@@ -88,7 +81,7 @@ class Drop(PlainSand):
                 raise InputError(f"the {name} must be positive and finite, got {shown(value)} s")
 
     @classmethod
-    def from_config(cls, config: object) -> Drop:
+    def from_config(cls, config: object) -> Self:
         """Return the drop of which `config.json` has these values."""
         where = "the drop's configuration"
         plain = {**config} if isinstance(config, dict) else {}
@@ -129,9 +122,7 @@ class BodySummary:
     exceeded: dict[str, float]
 
     @classmethod
-    def of(
-        cls, reports: Sequence[BodyReport], energy: float, force: float, depth: float
-    ) -> BodySummary:
+    def of(cls, reports: Sequence[BodyReport], energy: float, force: float, depth: float) -> Self:
         """Summarize a body: all samples; energy [J], force [N] and depth [m] but at the last."""
         in_sand = [report for report in reports if report.depth > 0]
         exceeded: dict[str, float] = {}
@@ -383,7 +374,6 @@ def start_from(model: mujoco.MjModel, data: mujoco.MjData, keyframe: str | None)
 
 
 def _place(drop: Drop, model: mujoco.MjModel, data: mujoco.MjData, sand: Sand) -> None:
-    """Set the state at the start: keyframe, height and velocity of the drop."""
     start_from(model, data, drop.keyframe)
     if drop.height is None and drop.velocity == 0.0:
         return

@@ -1,7 +1,5 @@
 """Files of saved runs: impacts and drops."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
@@ -90,8 +88,7 @@ def _saved(path: Path, what: str) -> Iterator[None]:
     except (GranularError, ValueError, KeyError, TypeError) as error:
         command = "drop MODEL.xml" if what == "drop" else "impact"
         raise OutputError(
-            f"{path} holds no saved {what} ({error}); make one with mjgranular {command} --out "
-            f"{path}"
+            f"{path} holds no saved {what} ({error}); use mjgranular {command} --out {path}"
         ) from None
 
 

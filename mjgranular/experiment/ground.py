@@ -1,7 +1,5 @@
 """Sand in plain values, and ground that is part of a user's model."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import mujoco
@@ -77,7 +75,6 @@ class PlainSand:
 
     @property
     def surface(self) -> Surface:
-        """The surface of the sand."""
         if self.bed is not None:
             return Bed(self.bed)
         if self.height_field is not None:

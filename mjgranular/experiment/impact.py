@@ -1,7 +1,5 @@
 """The impact of a link: its options and its result."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -114,7 +112,6 @@ class Impact:
 
     @property
     def title(self) -> str:
-        """Name of the body."""
         return self.body
 
     @property
@@ -139,10 +136,6 @@ class Impact:
             bodies="link",
             memory=self.memory,
         )
-
-    def sand(self, model: mujoco.MjModel) -> Sand:
-        """Return the sand, on the link's model."""
-        return Sand(model, self.described)
 
     def largest_step(self) -> float:
         """Return the largest time step for which the drag is sure not to overshoot [s].
@@ -290,13 +283,11 @@ def run_impact(impact: Impact, *, progress: Callable[[float], None] | None = Non
 
 
 class _Run:
-    """A run under way."""
-
     def __init__(self, impact: Impact) -> None:
         self.impact = impact
         self.link = impact.link
         self.model = self.link.model(impact.timestep)
-        self.sand = impact.sand(self.model)
+        self.sand = Sand(self.model, impact.described)
         self.data = mujoco.MjData(self.model)
         self.data.qpos[:] = self.link.touching(impact.angle)
         self.data.qpos[1] += impact.height
@@ -333,7 +324,6 @@ class _Run:
         return kinetic / 2 + link.mass * self.gravity * float(self.data.qpos[1])
 
     def follow(self, progress: Callable[[float], None] | None) -> None:
-        """Step until the end."""
         impact = self.impact
         total = math.ceil(impact.duration / impact.timestep - 1e-9)
         self.sample(self.before_stop)
@@ -363,27 +353,23 @@ class _Run:
             mean = [(u + v) / 2 for u, v in zip(velocity, after, strict=True)]
             x, depth, _, down = tip(position, mean, point)
             position, velocity = qpos.tolist(), after
-            if self.watch.follow(depth, down):
-                self.stop = self._stop(x_before, x)
+            stop = self.watch.follow(depth, down)
+            if stop is not None:  # T's velocity is linear in time there
+                q, omega, (time, deepest, part) = float(qpos[2]), float(qvel[2]), stop
+                self.stop = Stop(
+                    time=time,
+                    depth=deepest,
+                    x=x_before + part * (x - x_before),
+                    angle=q - (2 - part) * self.impact.timestep * omega,
+                    angular_velocity=omega,
+                    step=self.steps - 2,
+                )
                 self.sample(self.before_stop)
                 return True
             if self.before_stop.due():
                 self.sample(self.before_stop)
             x_before = x
         return False
-
-    def _stop(self, x_before: float, x: float) -> Stop:
-        """Return the stop, at which T's velocity is linear in time."""
-        watch, q, omega = self.watch, float(self.data.qpos[2]), float(self.data.qvel[2])
-        assert watch.time is not None
-        return Stop(
-            time=watch.time,
-            depth=watch.depth,
-            x=x_before + watch.part * (x - x_before),
-            angle=q - (2 - watch.part) * self.impact.timestep * omega,
-            angular_velocity=omega,
-            step=self.steps - 2,
-        )
 
     def _come_to_rest(self, total: int, progress: Callable[[float], None] | None) -> None:
         """Step until the whole link is at rest."""
@@ -399,7 +385,6 @@ class _Run:
                 return
 
     def sample(self, recorder: Recorder) -> None:
-        """Take a sample of the state."""
         self.check_energy()
         self.sampler.take(self.time, recorder)
 
@@ -422,7 +407,6 @@ class _Run:
         return Rest(time=since - self.watch.touchdown, depth=depth, angle=lean)
 
     def check_energy(self) -> None:
-        """Check that the simulation has not diverged."""
         if not self.energy() <= self.most_energy:  # also if it is NaN
             raise UnstableError(
                 f"the run was stopped at t = {self.time:.4g} s: the link has more energy than it "
@@ -432,7 +416,6 @@ class _Run:
             )
 
     def result(self) -> ImpactResult:
-        """Return the finished run."""
         rows = np.vstack([self.before_stop.rows(), self.after_stop.rows()])
         reports = self.before_stop.reports + self.after_stop.reports
         first = np.unique(rows[:, 0], return_index=True)[1]

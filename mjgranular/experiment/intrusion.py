@@ -1,7 +1,5 @@
 """Intrusion: the force on a body that is moved on a prescribed path."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -113,9 +111,9 @@ class Intrusion:
             raise InputError("a level path has no end in depth: give its --distance")
         length = (self.depth - self.start) / down
         if length <= 0:
+            way = "down" if down > 0 else "up"
             raise InputError(
-                f"the path never gets from {self.start} m to {self.depth} m: it goes "
-                f"{'down' if down > 0 else 'up'}"
+                f"the path never gets from {self.start} m to {self.depth} m: it goes {way}"
             )
         return length
 
@@ -255,8 +253,7 @@ def _model(intrusion: Intrusion) -> mujoco.MjModel:
     if len(roots) != 1:
         names = ", ".join(body.name or "(no name)" for body in roots)
         raise InputError(
-            f"{intrusion.model} has {len(roots)} bodies in its world ({names}): the intruder is "
-            "one of them, use --geom with one of its geoms"
+            f"{intrusion.model} has {len(roots)} bodies ({names}): use --geom with a geom of one"
         )
     # The intruder is rigid, moved as a whole, and alone. What refers to joints, geoms and bodies is
     # deleted before they are.

@@ -1,7 +1,5 @@
 """Samples of a run, and what the sand did at them."""
 
-from __future__ import annotations
-
 from collections import deque
 from typing import Any
 
@@ -100,37 +98,36 @@ class StopWatch:
 
     def __init__(self, timestep: float) -> None:
         self.touchdown: float | None = None  # time from the first step to the touch [s]
-        self.time: float | None = None  # from then until its vertical velocity is first zero [s]
-        self.depth = 0.0  # its depth then [m]
-        self.part = 0.0  # when this was, in steps after the last but one
         self._timestep = timestep
         self._steps = 0
         self._before: tuple[float, float] | None = None
         self._velocities: deque[float] = deque(maxlen=_MOST_AVERAGED)
         self._sinking = False  # it has moved down since it touched the sand
 
-    def follow(self, depth: float, velocity: float) -> bool:
-        """Take depth [m] and downward velocity [m/s] of the next step; return True at the stop."""
+    def follow(self, depth: float, velocity: float) -> tuple[float, float, float] | None:
+        """Take depth [m] and downward velocity [m/s] of the next step; None before the stop.
+
+        The stop is where the vertical velocity is first zero. Return the time from the touch to it
+        [s], the depth then [m], and when it was, in steps after the last but one.
+        """
         before, self._before = self._before, (depth, velocity)
         step, self._steps = self._steps, self._steps + 1
         self._velocities.append(velocity)
         if before is None:
             # A point that starts on the surface may be rounded to slightly above it.
             self.touchdown = 0.0 if depth > -1e-12 else None
-            return False
+            return None
         if self.touchdown is None and depth >= 0:
             self.touchdown = self._timestep * (step - depth / (depth - before[0]))
         if self.touchdown is None or velocity > STILL:
-            return False
+            return None
         self._sinking = self._sinking or before[1] > STILL
         part = self._crossing() if self._sinking else None
         if part is None:
-            return False
-        self.time = (step - 1 + part) * self._timestep - self.touchdown
+            return None
+        time = (step - 1 + part) * self._timestep - self.touchdown
         # Where velocities tremble, the crossing may be some steps earlier: there depth is constant.
-        self.depth = before[0] + self._timestep * max(part, 0.0) * before[1] / 2
-        self.part = part
-        return True
+        return time, before[0] + self._timestep * max(part, 0.0) * before[1] / 2, part
 
     def _crossing(self) -> float | None:
         """Return when the velocity crosses or reaches zero, in steps after the last but one.

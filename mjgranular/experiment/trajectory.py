@@ -1,12 +1,11 @@
 """The trajectory of a link: samples of its state, and what follows from them."""
 
-from __future__ import annotations
-
 import csv
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 
@@ -88,7 +87,7 @@ class Trajectory:
         gravity: float,
         bodies: Sequence[BodyReport],
         point: tuple[float, float],
-    ) -> Trajectory:
+    ) -> Self:
         """Compute what follows from samples of the state."""
         derived = np.empty((len(rows), 13))
         for row, body, out in zip(rows, bodies, derived, strict=True):
@@ -124,7 +123,7 @@ class Trajectory:
             np.savez_compressed(file, **arrays)
 
     @classmethod
-    def read_npz(cls, path: Path) -> Trajectory:
+    def read_npz(cls, path: Path) -> Self:
         """Read what `write_npz` wrote."""
         arrays = read_arrays(path, [field.name for field in fields(cls)])
         t = arrays["t"]

@@ -1,7 +1,5 @@
 """A medium: numbers with their sources."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -1,25 +1,35 @@
 """The media that come with the package."""
 
-from __future__ import annotations
-
 import csv
 import math
+from collections.abc import Iterator
 from pathlib import Path
 
-from mjgranular.medium.known import register_medium
+from mjgranular.medium.file import register_medium
 from mjgranular.medium.medium import Medium, Quantity
 from mjgranular.medium.stiffness import FRICTION_CUBIC, LEVEL_PLATE
 
-_LINK_PAPER = (
-    "Lee and Marghitu, Stopping Time for a Planar Link in Contact with a Granular Material"
-)
 _LI = "Li, Zhang, Goldman, Science 339, 1408 (2013), supplementary table"
-_KATSURAGI = "Katsuragi, Durian, Nature Physics 3, 420 (2007)"
-_AGARWAL = "Agarwal, Goldman, Kamrin, PNAS 120 (2023), doi 10.1073/pnas.2214017120"
 _CHOSEN = "chosen, not measured"
 
 FOURIER_KEYS = ("A00", "A10", "B11", "B01", "Bm11", "C11", "C01", "Cm11", "D10")
 GENERIC_FOURIER = (0.206, 0.169, 0.212, 0.358, 0.055, -0.124, 0.253, 0.007, 0.088)
+
+_MEDIA = {
+    # The paper uses the density of quartz grains, not of a bed with air between them. Its
+    # coefficients assume that value, so it is kept.
+    "play_sand": ("Play sand (Quikrete 1113-51)", "link"),
+    "quikrete_medium": ("Quikrete medium sand", "rft3d_dynamic"),
+    "glass_beads": ("Glass beads, 250 to 350 um", "rft2d_dynamic"),
+    "yuma_sand": ("Sand of Yuma", "rft2d_dynamic"),
+    "twentynine_palms_sand": ("Sand of 29 Palms", "rft2d_dynamic"),
+}
+"""Title and default law of the media in `media.csv`, all but those of Li, Zhang and Goldman."""
+
+
+def _rows(name: str) -> Iterator[dict[str, str]]:
+    with Path(__file__).with_name(name).open(encoding="utf-8") as file:
+        yield from csv.DictReader(file)
 
 
 def _fourier(values: tuple[float, ...], which: str) -> dict[str, Quantity]:
@@ -30,75 +40,20 @@ def _fourier(values: tuple[float, ...], which: str) -> dict[str, Quantity]:
     }
 
 
-play_sand = register_medium(
-    Medium(
-        name="play_sand",
-        title="Play sand (Quikrete 1113-51)",
-        # The paper uses the density of quartz grains, not of a bed with air between them. Its
-        # coefficients assume that value, so it is kept.
-        density=Quantity(2500.0, "kg/m^3", f"{_LINK_PAPER}, section 4"),
-        default_law="link",
-        constants={
-            "link": {
-                "eta_d": Quantity(6.5, "", f"{_LINK_PAPER}, section 4: dynamic frictional force"),
-                "eta_h": Quantity(8.0, "", f"{_LINK_PAPER}, section 4: horizontal static force"),
-                "eta_v": Quantity(22.0, "", f"{_LINK_PAPER}, section 4: vertical static force"),
-                "exponent": Quantity(1.1, "", f"{_LINK_PAPER}, section 4: lambda"),
-            },
-            "rft2d": {
-                **_fourier(GENERIC_FOURIER, "generic set"),
-                "scale": Quantity(3.75, "", "used by others for play sand, uncalibrated: a guess"),
-            },
-        },
-    )
-)
-
-quikrete_medium = register_medium(
-    Medium(
-        name="quikrete_medium",
-        title="Quikrete medium sand",
-        density=Quantity(1550.0, "kg/m^3", f"{_AGARWAL}: critical bulk density rho_c"),
-        default_law="rft3d_dynamic",
-        constants={
-            "rft3d": {
-                "density": Quantity(1550.0, "kg/m^3", f"{_AGARWAL}: rho_c"),
-                "internal_friction": Quantity(
-                    math.tan(math.radians(34)), "", f"{_AGARWAL}: tangent of 34 degrees"
-                ),
-                "surface_friction": Quantity(0.4, "", _CHOSEN),
-            },
-        },
-    )
-)
-
-glass_beads = register_medium(
-    Medium(
-        name="glass_beads",
-        title="Glass beads, 250 to 350 um",
-        density=Quantity(1520.0, "kg/m^3", f"{_KATSURAGI}: bulk density"),
-        grain=Quantity(0.0003, "m", f"{_KATSURAGI}: middle of 250 to 350 um"),
-        default_law="rft2d_dynamic",
-        constants={
-            "rft2d": {
-                **_fourier(GENERIC_FOURIER, "generic set"),
-                "scale": Quantity(0.33, "", f"{_LI} S2: scale factor used for glass beads"),
-            },
-            "depth_velocity": {
-                "stiffness": Quantity(
-                    1040.0 * 0.0692,
-                    "N/m",
-                    f"{_KATSURAGI}: k/m = 1040 s^-2, a steel sphere of 25.4 mm and 69.2 g only",
-                ),
-                "quadratic": Quantity(
-                    0.0692 / 0.087, "kg/m", f"{_KATSURAGI}: m/d1, d1 = 0.087 m, the same sphere"
-                ),
-            },
-        },
-    )
-)
+def _register_published() -> None:
+    """Register the media of `media.csv`, with a row for each constant; `rft2d` has the scale."""
+    for name, (title, default_law) in _MEDIA.items():
+        tables: dict[str, dict[str, Quantity]] = {}
+        for row in _rows("media.csv"):
+            if row["medium"] == name:
+                quantity = Quantity(float(row["value"]), row["unit"], row["source"])
+                generic = _fourier(GENERIC_FOURIER, "generic set") if row["law"] == "rft2d" else {}
+                tables.setdefault(row["law"], generic)[row["constant"]] = quantity
+        general = tables.pop("")  # density, and perhaps the size of grains
+        register_medium(Medium(name, title, default_law=default_law, constants=tables, **general))
 
 
-def _measured(row: dict[str, str]) -> Medium:
+def _register_measured(row: dict[str, str]) -> None:
     """Register a medium of Li, Zhang and Goldman 2013 from a row of `li_2013.csv`.
 
     Its title with a lower-case first letter is its name in their tables, which give 2500 to 2600
@@ -146,30 +101,9 @@ def _measured(row: dict[str, str]) -> Medium:
             },
         },
     )
-    return register_medium(medium)
+    register_medium(medium)
 
 
-with Path(__file__).with_name("li_2013.csv").open(encoding="utf-8") as _file:
-    for _row in csv.DictReader(_file):
-        _measured(_row)
-
-
-def _natural(name: str, title: str, plate: float) -> Medium:
-    """Register a medium by one measurement: a level plate pushed down [N/cm^3]."""
-    medium = Medium(
-        name=name,
-        title=title,
-        density=Quantity(1550.0, "kg/m^3", f"{_CHOSEN}: that of quikrete_medium"),
-        default_law="rft2d_dynamic",
-        constants={
-            "rft2d": {
-                **_fourier(GENERIC_FOURIER, "generic set"),
-                "scale": Quantity(plate, "", f"{_LI}s: alpha_z of a level plate in N/cm^3"),
-            }
-        },
-    )
-    return register_medium(medium)
-
-
-yuma_sand = _natural("yuma_sand", "Sand of Yuma", 0.691)
-twentynine_palms_sand = _natural("twentynine_palms_sand", "Sand of 29 Palms", 0.888)
+_register_published()
+for _row in _rows("li_2013.csv"):
+    _register_measured(_row)

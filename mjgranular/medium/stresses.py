@@ -1,7 +1,5 @@
 """Stresses on tilted plates, as measured: table S5 of Li, Zhang and Goldman 2013."""
 
-from __future__ import annotations
-
 import csv
 from functools import cache
 from pathlib import Path

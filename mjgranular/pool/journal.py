@@ -1,7 +1,5 @@
 """Results that are saved as soon as they exist, so that a killed run can resume."""
 
-from __future__ import annotations
-
 import json
 import os
 import tempfile
@@ -63,10 +61,6 @@ class Journal:
         """Return why a run cannot resume from the file in the folder; None if it can."""
         return self._read()[0]
 
-    def can_resume(self) -> bool:
-        """Return True if a run can resume from the file in the folder."""
-        return self.fault() is None
-
     def begin(self) -> None:
         """Open the file: results of the same request stay, all else in it is deleted."""
         if self._path is None:
@@ -82,8 +76,6 @@ class Journal:
 
     def keep(self, results: Sequence[tuple[int, Mapping[str, Any]]]) -> None:
         """Add results, all in one write."""
-        if not results:
-            return
         if self._file is None:
             self.begin()
         file = self._file
@@ -100,13 +92,12 @@ class Journal:
         self.count += len(results)
 
     def close(self) -> None:
-        """Close the file."""
         if self._file is not None:
             with suppress(OSError):  # of a full disk, which `keep` has reported
                 self._file.close()
             self._file = None
 
-    def _read(self) -> tuple[str | None, array[int], int]:
+    def _read(self) -> tuple[str | None, "array[int]", int]:
         """Return any fault of the file, and the positions and the end of its results."""
         none = array("q", [_NONE]) * len(self)
         if self._path is None or not self._path.exists():

@@ -1,7 +1,5 @@
 """A function over many independent tasks, robust to dying workers."""
 
-from __future__ import annotations
-
 import os
 from collections import Counter, deque
 from collections.abc import Callable, Sequence

@@ -5,8 +5,6 @@ A pool, as `on_ray.RayPool` is too, has a function and the shared data of its ta
 raises if no worker could do it; `close` ends all workers, even busy ones.
 """
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import pickle
@@ -21,13 +19,7 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import Any, Literal, NamedTuple, get_args
 
-from mjgranular.errors import (
-    GranularError,
-    GranularWarning,
-    InputError,
-    UnknownNameError,
-    one_line,
-)
+from mjgranular.errors import GranularError, GranularWarning, InputError, UnknownNameError, one_line
 
 Engine = Literal["local", "ray"]
 

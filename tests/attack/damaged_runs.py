@@ -104,7 +104,7 @@ def read_everything(folder: Path) -> None:
     def sweep() -> None:
         journal = journal_of(SWEEP, folder)
         names = ("config.json", "summary.json", "sweep.csv")
-        with ResultFolder(folder, names).claimed(goes_on=journal.can_resume):
+        with ResultFolder(folder, names).claimed(goes_on=lambda: journal.fault() is None):
             journal.begin()
             list(journal.results())
             journal.close()

@@ -4,6 +4,7 @@ import math
 
 import pytest
 
+from mjgranular import Sand
 from mjgranular.experiment import Impact, run_impact
 
 
@@ -17,7 +18,7 @@ def drops(paper, timestep):
 def test_constants_are_the_papers(paper):
     constants, impact = paper["constants"], Impact()
     model = impact.link.model(1e-5)
-    sand = impact.sand(model)
+    sand = Sand(model, impact.described)
     assert impact.length == constants["length"]
     assert impact.diameter == constants["diameter"]
     assert impact.density == constants["link_density"]
@@ -34,7 +35,7 @@ def test_link_is_the_papers_slender_rod(paper, reference):
     body = model.body("link")
     assert body.mass[0] == pytest.approx(drop.mass, rel=1e-12)
     assert body.inertia[:2] == pytest.approx([drop.inertia] * 2, rel=1e-12)
-    (rod,) = Impact().sand(model).elements
+    (rod,) = Sand(model, Impact().described).elements
     assert 2 * rod["half_length"] == pytest.approx(paper["constants"]["length"], rel=1e-12)
     assert rod["width"] == pytest.approx(paper["constants"]["diameter"], rel=1e-12)
 

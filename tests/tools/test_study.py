@@ -262,7 +262,7 @@ def test_a_law_of_ones_own_acts_in_worker_processes(tmp_path):
 
 
 def test_a_law_of_a_script_is_refused(monkeypatch):
-    from mjgranular.experiment.run_study import custom_of
+    from mjgranular.experiment.study import custom_of
     from mjgranular.law import laws
     from mjgranular.law.link import LinkLaw
 
