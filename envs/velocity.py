@@ -216,9 +216,10 @@ class Go1Velocity(Task):
         weakest, strongest = self.motor_strength
         if not 0.0 < weakest <= strongest < math.inf:
             raise InputError(
-                f"motor_strength must be a range of positive factors, not {self.motor_strength}"
+                f"motor_strength must be a range of positive, finite factors, "
+                f"not {self.motor_strength}"
             )
-        if not all(steps in range(_LATE + 1) for steps in self.delay):
+        if not all(type(steps) is int and 0 <= steps <= _LATE for steps in self.delay):
             raise InputError(
                 f"delay must be a range of whole steps from 0 to {_LATE}, not {self.delay}"
             )

@@ -109,7 +109,8 @@ def _check_port(address: str) -> None:
     host, colon, port = address.rpartition(":")
     if "://" in address or not (colon and host and port.isdigit() and int(port) < 65536):
         raise InputError(
-            f"the address of a Ray cluster is HOST:PORT of its head, or auto, got {address!r}"
+            f"the address of a Ray cluster is HOST:PORT of its head, such as "
+            f"10.0.0.1:6379, or auto, got {address!r}"
         )
     try:
         socket.create_connection((host, int(port)), timeout=_CONNECT).close()

@@ -332,9 +332,10 @@ def test_a_delay_gives_the_targets_of_an_earlier_step():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"motor_strength": (0.0, 1.0)}, "positive factors"),
+        ({"motor_strength": (0.0, 1.0)}, "positive, finite factors"),
         ({"delay": (0, 9)}, "whole steps from 0 to 3"),
         ({"delay": (0, 0.5)}, "whole steps"),
+        ({"delay": (True, 2)}, "whole steps"),
         ({"motor_strength": 1.0}, "range"),
     ],
 )
