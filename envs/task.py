@@ -61,11 +61,13 @@ class Start:
         qpos: positions, shape (nq,).
         qvel: velocities, shape (nv,).
         userdata: other data of the episode, shape (nuserdata,).
+        numbers: fields of the model in this episode, of those that are `varied`.
     """
 
     qpos: np.ndarray
     qvel: np.ndarray
     userdata: np.ndarray | None = None
+    numbers: Mapping[str, np.ndarray] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -182,14 +184,18 @@ class Task(SandSpec, ABC):
     # Built from it, once.
 
     @cached_property
+    def _sands(self) -> tuple[list[SandSpec], list[Choice]]:
+        return sands_of(self.randomise, self, HeightField(DUNES))
+
+    @property
     def sands(self) -> Sequence[SandSpec]:
         """The sands of the model, as specified."""
-        return sands_of(self.randomise, self, HeightField(DUNES))[0]
+        return self._sands[0]
 
-    @cached_property
+    @property
     def choices(self) -> Sequence[Choice]:
         """The sands in the model, by names."""
-        return sands_of(self.randomise, self, HeightField(DUNES))[1]
+        return self._sands[1]
 
     @cached_property
     def _built(self) -> tuple[mujoco.MjModel, Figures]:
@@ -303,6 +309,8 @@ class Task(SandSpec, ABC):
         state.qpos[row], state.qvel[row] = start.qpos, start.qvel
         if start.userdata is not None:
             state.userdata[row] = start.userdata
+        for name, value in start.numbers.items():
+            numbers[name][:] = value
         if sample is not None:
             lay(sample, self.model, self.figures, plugin_state, numbers["opt.gravity"])
             state.active[row], state.slope[row] = sample.number, sample.slope

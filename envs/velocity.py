@@ -1,7 +1,7 @@
 """Robots that follow commanded velocities on sand."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -219,10 +219,10 @@ class Go1Velocity(Task):
                 f"motor_strength must be a range of positive, finite factors, "
                 f"not {self.motor_strength}"
             )
-        if not all(type(steps) is int and 0 <= steps <= _LATE for steps in self.delay):
-            raise InputError(
-                f"delay must be a range of whole steps from 0 to {_LATE}, not {self.delay}"
-            )
+        for steps in self.delay:
+            check_count("delay", steps, least=0)
+        if max(self.delay) > _LATE:
+            raise InputError(f"delay must be at most {_LATE} steps, not {self.delay}")
 
     def robot(self) -> mujoco.MjSpec:
         path = robot_path(self.robot_file)
@@ -308,11 +308,14 @@ class Go1Velocity(Task):
         userdata[_PUSH] = self._draw_pushes(random).ravel()
         # A range of one value draws nothing, so that seeds keep their meaning.
         low, high = self.motor_strength
-        userdata[_STRENGTH] = random.uniform(low, high) if low < high else low
+        strength = random.uniform(low, high) if low < high else low
+        userdata[_STRENGTH] = strength
         least, most = self.delay
         userdata[_DELAY] = random.integers(least, most + 1) if least < most else least
         userdata[_TARGETS] = np.tile(self._stance, _LATE)
-        return Start(qpos, qvel, userdata)
+        varied = self.motor_strength != (1.0, 1.0)
+        motors = {name: strength * self._motors[name] for name in _OF_MOTORS if varied}
+        return Start(qpos, qvel, userdata, motors)
 
     def begin(self, random: np.random.Generator, sample: Sample | None) -> Start:
         start = super().begin(random, sample)
@@ -325,19 +328,6 @@ class Go1Velocity(Task):
     def varied(self) -> tuple[str, ...]:
         fixed = self.motor_strength == (1.0, 1.0)
         return super().varied if fixed else (*super().varied, *_OF_MOTORS)
-
-    def lay(
-        self,
-        sample: Sample | None,
-        start: Start,
-        state: State,
-        row: int,
-        plugin_state: np.ndarray,
-        numbers: Mapping[str, np.ndarray],
-    ) -> None:
-        super().lay(sample, start, state, row, plugin_state, numbers)
-        for name in numbers.keys() & set(_OF_MOTORS):
-            numbers[name][:] = self._motors[name] * state.userdata[row, _STRENGTH]
 
     @cached_property
     def _motors(self) -> dict[str, np.ndarray]:

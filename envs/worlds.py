@@ -87,11 +87,11 @@ class Worlds:
         if name not in self._numbers:
             *owner, field = name.split(".")
             place = attrgetter(*owner)(self._m) if owner else self._m
-            if not isinstance(getattr(place, field, None), wp.array):
+            value = np.array(attrgetter(name)(self._full), float)
+            if not value.ndim or not isinstance(getattr(place, field, None), wp.array):
                 raise InputError(
                     f"MuJoCo Warp has no {name} for each world: step this task without it"
                 )
-            value = np.array(attrgetter(name)(self._full), float)
             self._numbers[name] = np.tile(value, (self._count,) + (1,) * value.ndim)
             old = getattr(place, field)
             values = self._numbers[name].astype(np.float32)
@@ -114,8 +114,12 @@ class Worlds:
         finite = [np.isfinite(self._arrays[name]).all(1) for name in ("qpos", "qvel")]
         self.lost = ~(finite[0] & finite[1])
         if self.lost.any():
-            self.reset(np.flatnonzero(self.lost))
-            self.forward(np.flatnonzero(self.lost))
+            ids, drawn = np.flatnonzero(self.lost), self._arrays.get("userdata")
+            kept = None if drawn is None else drawn[ids]  # what the episode has drawn goes on
+            self.reset(ids)
+            if drawn is not None:
+                drawn[ids] = kept
+            self.forward(ids)
 
     def reset(self, ids: np.ndarray, stage: int = 0) -> None:
         """Reset worlds to the model's initial state."""

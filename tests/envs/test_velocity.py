@@ -333,9 +333,9 @@ def test_a_delay_gives_the_targets_of_an_earlier_step():
     ("options", "message"),
     [
         ({"motor_strength": (0.0, 1.0)}, "positive, finite factors"),
-        ({"delay": (0, 9)}, "whole steps from 0 to 3"),
-        ({"delay": (0, 0.5)}, "whole steps"),
-        ({"delay": (True, 2)}, "whole steps"),
+        ({"delay": (0, 9)}, "at most 3 steps"),
+        ({"delay": (0, 0.5)}, "delay must be an integer"),
+        ({"delay": (True, 2)}, "delay must be an integer"),
         ({"motor_strength": 1.0}, "range"),
     ],
 )

@@ -128,8 +128,8 @@ def test_what_has_no_place_is_said(warp_env):
         )
     with pytest.raises(InputError, match="device"):
         warp_env("Hopper", 2, device="gpu7")
-    with pytest.raises(InputError, match=r"no opt\.integrator for each world"):
-        warp_env("Hopper", 2, device="cpu").batch.expand("opt.integrator")
+    with pytest.raises(InputError, match=r"no opt\.timestep for each world"):
+        warp_env("Hopper", 2, device="cpu").batch.expand("opt.timestep")
 
     @dataclass(frozen=True, kw_only=True)
     class WithoutSlip(Hopper):
@@ -157,3 +157,9 @@ def test_each_world_has_its_motors_and_a_critic_knows_them(robots, warp_env):
     on_device = worlds.batch._m.actuator_gainprm.numpy()[:, :, 0]
     np.testing.assert_allclose(on_device, privileged[:, 13:14] * full, rtol=1e-6)
     assert len(set(privileged[:, 13])) == 3
+
+    worlds.batch.bind("qvel")[0, 0] = np.nan
+    info = worlds.step(np.zeros((3, 12), np.float32))[-1]
+    assert info["sand/lost"].tolist() == [True, False, False]
+    ended = info["final_info"]["privileged"][0, 13:]
+    np.testing.assert_allclose(ended, privileged[0, 13:], rtol=1e-6)
