@@ -7,10 +7,12 @@ import sys
 from pathlib import Path
 from types import ModuleType
 
+import gymnasium as gym
 import pytest
 
 import mjgranular
 from mjgranular import laws, media
+from mjgranular.envs import tasks
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -21,8 +23,12 @@ PYTHON = re.compile(r"^```python\n(.*?)^```\n(?:\n```text\n(.*?)^```)?", re.DOTA
 @pytest.fixture
 def registers(monkeypatch):
     """What a page registers is forgotten after the test."""
-    for registry in (media, laws):
+    for registry in (media, laws, tasks):
         monkeypatch.setattr(registry, "_things", dict(registry._things))
+    before = set(gym.registry)
+    yield
+    for name in set(gym.registry) - before:
+        del gym.registry[name]
 
 
 def run(*command: object, cwd: Path) -> str:

@@ -638,7 +638,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "batch of nobody's": (
         lambda: vec("mjgranular/LinkDorp-v0", 2),
-        "no environment 'mjgranular/LinkDorp-v0' ... did you mean mjgranular/LinkDrop-v0",
+        "no environment 'mjgranular/LinkDorp-v0' ... did you mean mjgranular/LinkDrop-v0?",
     ),
     "bulking in percent": (
         lambda: mg.Memory(bulking=20),
