@@ -16,7 +16,7 @@ from mjgranular.law.facet_slope import (
     simple_slope_kernel,
 )
 from mjgranular.law.kernel import AddedMass, LawKernel
-from mjgranular.law.patch import wet_part, wet_share
+from mjgranular.law.patch import immersed_part, immersed_share
 from mjgranular.law.raised import not_raised
 
 LANES = 8
@@ -129,8 +129,8 @@ def facet_kernel(
             mean, s, t = lowered, rise_1 * scale, rise_2 * scale
             share = choose(lowered > reach, 1.0, 0.0)
         else:
-            mean, s, t = wet_part(lowered, rise_1, rise_2)
-            share = wet_share(lowered, rise_1, rise_2)
+            mean, s, t = immersed_part(lowered, rise_1, rise_2)
+            share = immersed_share(lowered, rise_1, rise_2)
         # The force acts at the center of pressure of the immersed part.
         centre = point + pose.rotation @ (s * edge_1 + t * edge_2)
         if not is_plane and mean > 0.0 and middle <= 0.0:

@@ -24,7 +24,7 @@ from typing import Any
 
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.vector import across, cross, diagonal, dot, norm, outer, vector
-from mjgranular.law.patch import leading_part, leading_slope, wet_part, wet_slope
+from mjgranular.law.patch import immersed_part, immersed_slope, leading_part, leading_slope
 
 # In the search for the velocity at the end of a step, a flat face begins to lead over directions
 # within this sine of its plane on either side. Chosen: the search needs a slope where the law is
@@ -84,13 +84,16 @@ def led_slope_kernel(slope: Any) -> Any:
         rest_1, rest_2 = (1.0 - la) * rise_1, (1.0 - lb) * rise_2
         la, la_x, la_y = s * la, s * la_x, s * la_y
         lb, lb_x, lb_y = t * lb, t * lb_x, t * lb_y
-        wet, wet_d, wet_a, wet_b = wet_slope(
+        immersed, immersed_d, immersed_a, immersed_b = immersed_slope(
             facet.middle + la * rise_1 + lb * rise_2, rest_1, rest_2
         )
-        wet_a, wet_b = share * rise_1 * (wet_d - s * wet_a), share * rise_2 * (wet_d - t * wet_b)
-        load = share * wet
-        load_x = share_x * wet + wet_a * la_x + wet_b * lb_x
-        load_y = share_y * wet + wet_a * la_y + wet_b * lb_y
+        immersed_a, immersed_b = (
+            share * rise_1 * (immersed_d - s * immersed_a),
+            share * rise_2 * (immersed_d - t * immersed_b),
+        )
+        load = share * immersed
+        load_x = share_x * immersed + immersed_a * la_x + immersed_b * lb_x
+        load_y = share_y * immersed + immersed_a * la_y + immersed_b * lb_y
 
         m = n + la * spread_1 + lb * spread_2
         scale = 1.0 / norm(m)
@@ -109,7 +112,7 @@ def led_slope_kernel(slope: Any) -> Any:
         # Columns of the ratios x and y.
         frame = vector(m, u, z)
         f_x, f_y = (strength * load_x) * f, (strength * load_y) * f
-        f_sided = (strength * wet_a) * f
+        f_sided = (strength * immersed_a) * f
         f, by_down, by_lead = gain * f, gain * by_down, gain * by_lead
         dl, dd, dn = al * la_x + bl * lb_x, ad * la_x + bd * lb_x, an * la_x + bn * lb_x
         f_x = f_x + dl * by_lead + dd * by_down - vector(f.x * dn, 0.0, 0.0)
@@ -239,5 +242,7 @@ def load_of(depth, h1, h2, mean, c, a, b, sided):
         return 0.0, 0.0, 0.0
     if h1 == 0.0 and h2 == 0.0:
         return share * max(depth, 0.0), s, t
-    wet, _, _ = wet_part(depth + s * h1 + t * h2, (1.0 - abs(s)) * h1, (1.0 - abs(t)) * h2)
-    return share * wet, s, t
+    immersed, _, _ = immersed_part(
+        depth + s * h1 + t * h2, (1.0 - abs(s)) * h1, (1.0 - abs(t)) * h2
+    )
+    return share * immersed, s, t

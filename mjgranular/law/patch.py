@@ -11,11 +11,11 @@ Integrals over these are polynomials in d/h, k/h or q, each written without canc
 is divided by k or q only if it vanishes with it. So a and b may have any size, also zero. The signs
 of a and b only mirror the parallelogram.
 
-`leading_part` is a scalar kernel; `wet_part` has no branches and takes numbers as well as lanes
-(`kernel.lanes`). `leading_slope` and `wet_slope` add derivatives, for many facets side by side: all
-branches are evaluated, and values of branches not taken may be infinite. The caller handles signs:
-rises are sizes, h the larger. A facet without edges and spread (a = b = 0) is fully immersed, and
-leads fully, if d > 0.
+`leading_part` is a scalar kernel; `immersed_part` has no branches and takes numbers as well as
+lanes (`kernel.lanes`). `leading_slope` and `immersed_slope` add derivatives, for many facets side
+by side: all branches are evaluated, and values of branches not taken may be infinite. The caller
+handles signs: rises are sizes, h the larger. A facet without edges and spread (a = b = 0) is fully
+immersed, and leads fully, if d > 0.
 """
 
 import math
@@ -74,7 +74,7 @@ def leading_part(c, a, b):
 
 
 @partial(compiled, inline=True)
-def wet_part(depth, a, b):
+def immersed_part(depth, a, b):
     """Return the mean depth over a facet [m], negative depth counting as zero, and its center.
 
     The mean of <depth + a s + b t> and its moments, over the same trapeziums and corners as in
@@ -116,16 +116,16 @@ def wet_part(depth, a, b):
 
 
 @partial(compiled, inline=True)
-def wet_share(depth, a, b):
-    """Return the immersed share of a facet's area: `wet_part`'s mean depth, derived by depth."""
+def immersed_share(depth, a, b):
+    """Return the immersed share of a facet's area: the mean depth, derived by depth."""
     size_a, size_b, size = abs(a), abs(b), abs(depth)
     first = size_a >= size_b
     h, k = choose(first, size_a, size_b), choose(first, size_b, size_a)
-    q, is_wet = h + k - size, depth > 0.0
+    q, is_immersed = h + k - size, depth > 0.0
     corner = 0.125 * (q / h) * (q / k)
-    share = choose(is_wet, 1.0 - corner, corner)
+    share = choose(is_immersed, 1.0 - corner, corner)
     share = choose(size <= h - k, 0.5 + 0.5 * depth / h, share)
-    return choose(q <= 0.0, choose(is_wet, 1.0, 0.0), share)
+    return choose(q <= 0.0, choose(is_immersed, 1.0, 0.0), share)
 
 
 @partial(compiled, inline=True)
@@ -175,8 +175,8 @@ def leading_slope(c, h, k):
 
 
 @partial(compiled, inline=True)
-def wet_slope(depth, a, b):
-    """Return the mean depth of `wet_part`, and its derivatives by all three [m]."""
+def immersed_slope(depth, a, b):
+    """Return the mean depth of `immersed_part`, and its derivatives by all three [m]."""
     a_size, b_size, size = abs(a), abs(b), abs(depth)
     h, k = max(a_size, b_size), min(a_size, b_size)
     trapezium = size <= h - k

@@ -8,7 +8,7 @@ C v = -F(v):
 The first term alone would suffice. The second adds resistance in other directions: S is the change
 of the force when the motion turns, the symmetric part of -dF/dv, and in no direction less than
 |F| / |v|. A force -C v' at another velocity v' dissipates energy for any v', and equals the law's
-own if v' is v. Both engines use this secant (`scheme.damping`, `warp.resistance`).
+own if v' is v. Both engines use this secant (`scheme.damping`, `warp.damping`).
 """
 
 import math

@@ -121,7 +121,7 @@ class Implicit(Scheme):
     def check(self, model: mujoco.MjModel) -> None:
         super().check(model)
         options = model.opt
-        # As Python: it would be compiled anew in every process.
+        # As Python: it would be compiled again in every process.
         if is_unsupported.py_func(options.integrator, options.solver, options.enableflags):
             raise InputError(self.refusal(BAD_METRIC))
 

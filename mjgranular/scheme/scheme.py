@@ -87,7 +87,7 @@ class Scheme(SchemeChoice):
         if status == LONG_TIMESTEP:
             return (
                 f"the explicit scheme was chosen for time steps up to {self.step_limit:g} s, and "
-                "that of the model (opt.timestep) is longer now: prepare the sand anew, or with "
+                "that of the model (opt.timestep) is longer now: prepare the sand again, or with "
                 "scheme='implicit'"
             )
         if status == BAD_SOLVER:
@@ -97,7 +97,7 @@ class Scheme(SchemeChoice):
             )
         if status == BAD_METRIC:
             return (
-                "with the integrator discrete the implicit scheme foresees the constraint solvers "
+                "with the integrator discrete the implicit scheme predicts the constraint solvers "
                 "Newton and CG (opt.solver), without the flag ipc (opt.enableflags): set these, "
                 "another integrator, or scheme='explicit'"
             )

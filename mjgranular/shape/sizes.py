@@ -114,7 +114,7 @@ def check_count(count: int) -> None:
 RESOLUTION = 12
 """Rings from pole to pole of a round geom; other parts of a surface in a measured proportion. It is
 the smallest with which the total force on every tested primitive is within 2 % of that on a fine
-mesh (tests/test_facets.py, docs/shapes.md)."""
+mesh (tests/physics/test_facets.py, docs/shapes.md)."""
 
 FACETS = 4000
 """Approximate default number of facets of all geoms together. Chosen: Gymnasium's robots have fewer

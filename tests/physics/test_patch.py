@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy import integrate
 
 from mjgranular.law.facet_slope import load_of
-from mjgranular.law.patch import leading_part, wet_part, wet_share
+from mjgranular.law.patch import immersed_part, immersed_share, leading_part
 
 # Of every size, zero included; a middle anywhere between dry and wet, and somewhat beyond.
 sizes = st.one_of(st.floats(0.01, 1), st.floats(-200, 0).map(lambda e: 10**e))
@@ -49,7 +49,7 @@ def exact(d, a, b, power):
     return float(whole), float(first / whole), float(second / whole)
 
 
-@pytest.mark.parametrize(("part", "power"), [(leading_part, 0), (wet_part, 1)])
+@pytest.mark.parametrize(("part", "power"), [(leading_part, 0), (immersed_part, 1)])
 @pytest.mark.parametrize("ratio", [1.0, 0.999, 0.7, 0.1, 1e-3, 1e-6, 1e-9, 1e-12, 1e-16, 1e-30])
 def test_against_fractions(part, power, ratio):
     h = 0.37
@@ -96,7 +96,7 @@ def test_against_quadrature(a, b, place):
     assert share == pytest.approx(quadrature(lambda s, t: 1 + 0 * t, d, a, b), abs=1e-12)
     assert share * s == pytest.approx(quadrature(lambda s, t: s + 0 * t, d, a, b), abs=1e-12)
     assert share * t == pytest.approx(quadrature(lambda s, t: t, d, a, b), abs=1e-12)
-    mean, s, t = wet_part(d, a, b)
+    mean, s, t = immersed_part(d, a, b)
     assert mean == pytest.approx(quadrature(depth, d, a, b), abs=1e-12)
     assert mean * s == pytest.approx(quadrature(lambda s, t: s * depth(s, t), d, a, b), abs=1e-12)
     assert mean * t == pytest.approx(quadrature(lambda s, t: t * depth(s, t), d, a, b), abs=1e-12)
@@ -111,7 +111,7 @@ def test_bounds(place, a, b):
     assert max(abs(s), abs(t)) <= 1
     # A part within the parallelogram has its centroid where the quantity is positive.
     assert share == 0 or d + a * s + b * t >= -1e-15 * reach(a, b)
-    mean, s, t = wet_part(d, a, b)
+    mean, s, t = immersed_part(d, a, b)
     ulp = 1 + 1e-15
     assert max(d, 0) / ulp <= mean <= max(d + reach(a, b), 0) * ulp
     assert max(abs(s), abs(t)) <= 1
@@ -125,7 +125,7 @@ def test_wet_and_dry_are_the_whole(place, a, b):
     assert up[0] + down[0] == pytest.approx(1, abs=1e-14)
     for k in (1, 2):
         assert up[0] * up[k] + down[0] * down[k] == pytest.approx(0, abs=1e-14)
-    up, down = wet_part(d, a, b), wet_part(-d, -a, -b)
+    up, down = immersed_part(d, a, b), immersed_part(-d, -a, -b)
     assert up[0] - down[0] == pytest.approx(d, abs=1e-14 * reach(a, b))
     for k, rise in ((1, a), (2, b)):
         assert up[0] * up[k] - down[0] * down[k] == pytest.approx(rise / 3, abs=1e-14 * reach(a, b))
@@ -134,7 +134,7 @@ def test_wet_and_dry_are_the_whole(place, a, b):
 @given(place=places, a=rises, b=rises)
 def test_mirrored_and_exchanged(place, a, b):
     d = place * reach(a, b)
-    for part in (leading_part, wet_part):
+    for part in (leading_part, immersed_part):
         whole, s, t = part(d, a, b)
         assert part(d, -a, b) == (whole, -s, t)
         assert part(d, b, a) == pytest.approx((whole, t, s), rel=1e-15, abs=1e-15)
@@ -147,7 +147,7 @@ def test_continuous(place, a, b, step):
     more = d + step * scale
     rise = leading_part(more, a, b)[0] - leading_part(d, a, b)[0]
     assert -1e-15 <= rise <= 0.5 * (more - d) / max(scale, 1e-200) + 1e-14
-    rise = wet_part(more, a, b)[0] - wet_part(d, a, b)[0]
+    rise = immersed_part(more, a, b)[0] - immersed_part(d, a, b)[0]
     assert -1e-15 * scale <= rise <= (more - d) + 1e-14 * scale
 
 
@@ -156,22 +156,22 @@ def test_depth_grows_by_what_is_wet(place, a, b):
     scale = max(abs(a), abs(b))
     assume(scale > 0)
     d, step = place * reach(a, b), 1e-5 * scale
-    slope = (wet_part(d + step, a, b)[0] - wet_part(d - step, a, b)[0]) / (2 * step)
+    slope = (immersed_part(d + step, a, b)[0] - immersed_part(d - step, a, b)[0]) / (2 * step)
     assert slope == pytest.approx(leading_part(d, a, b)[0], abs=2e-5)
 
 
 @given(place=places, a=rises, b=rises)
 @example(place=0.0, a=0.0, b=0.0)
-def test_wet_share_without_branches(place, a, b):
+def test_immersed_share_without_branches(place, a, b):
     d = place * reach(a, b)
-    assert wet_share(d, a, b) == pytest.approx(leading_part(d, a, b)[0], rel=1e-12, abs=1e-15)
+    assert immersed_share(d, a, b) == pytest.approx(leading_part(d, a, b)[0], rel=1e-12, abs=1e-15)
 
 
 @pytest.mark.parametrize("d", [-0.3, -1e-9, -0.0, 0.0, 1e-9, 0.3])
 def test_point(d):
-    assert wet_share(d, 0.0, 0.0) == float(d > 0)
+    assert immersed_share(d, 0.0, 0.0) == float(d > 0)
     assert leading_part(d, 0.0, 0.0) == (float(d > 0), 0, 0)
-    assert wet_part(d, 0.0, 0.0) == (max(d, 0), 0, 0)
+    assert immersed_part(d, 0.0, 0.0) == (max(d, 0), 0, 0)
     assert load_of(d, 0.0, 0.0, max(d, 0.0), 1.0, 0.0, 0.0, 1.0) == (max(d, 0), 0, 0)
     assert load_of(1.0, 0.0, 0.0, 1.0, d, 0.0, 0.0, 1.0) == (float(d > 0), 0, 0)
 
@@ -179,7 +179,7 @@ def test_point(d):
 @given(place=places, h1=rises, h2=rises)
 def test_leading_as_a_whole(place, h1, h2):
     d = place * reach(h1, h2)
-    mean = wet_part(d, h1, h2)[0]
+    mean = immersed_part(d, h1, h2)[0]
     assert load_of(d, h1, h2, mean, 1.0, 0.5, -0.25, 1.0) == (mean, 0, 0)
     assert load_of(d, h1, h2, mean, -1.0, 0.5, -0.25, 1.0) == (0, 0, 0)
 
@@ -189,8 +189,8 @@ def test_leading_as_a_whole(place, h1, h2):
 def test_edge_of_leading_along_an_edge(c, d, h1, h2):
     # What leads is a parallelogram, from s = -c to 1.
     width, middle = (1 + c) / 2, (1 - c) / 2
-    load = width * wet_part(d + middle * h1, width * h1, h2)[0]
-    found = load_of(d, h1, h2, wet_part(d, h1, h2)[0], c, 1.0, 0.0, 1.0)
+    load = width * immersed_part(d + middle * h1, width * h1, h2)[0]
+    found = load_of(d, h1, h2, immersed_part(d, h1, h2)[0], c, 1.0, 0.0, 1.0)
     assert found == pytest.approx((load, middle, 0), abs=1e-15)
 
 
@@ -202,13 +202,13 @@ def test_in_the_sand_as_a_whole_the_load_is_exact(a, b, c):
     def depth(s, t):
         return d + h1 * s + h2 * t
 
-    load = load_of(d, h1, h2, wet_part(d, h1, h2)[0], c, a, b, 1.0)[0]
+    load = load_of(d, h1, h2, immersed_part(d, h1, h2)[0], c, a, b, 1.0)[0]
     assert load == pytest.approx(quadrature(depth, c, a, b), rel=1e-12)
 
 
 @given(d=places, h1=rises, h2=rises, c=places, a=rises, b=rises)
 def test_bounds_of_what_acts(d, h1, h2, c, a, b):
     depth, speed = d * reach(h1, h2), c * reach(a, b)
-    load, ls, lt = load_of(depth, h1, h2, wet_part(depth, h1, h2)[0], speed, a, b, 1.0)
+    load, ls, lt = load_of(depth, h1, h2, immersed_part(depth, h1, h2)[0], speed, a, b, 1.0)
     assert 0 <= load <= max(depth + reach(h1, h2), 0) * (1 + 1e-15)
     assert max(abs(ls), abs(lt)) <= 1
