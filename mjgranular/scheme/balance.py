@@ -23,7 +23,7 @@ from mjgranular.kernel.motion import Motion, read_motion, write_motion
 from mjgranular.kernel.vector import cross, dot, norm, read_vector, transposed, vector
 from mjgranular.scheme.constraints import add_constraints
 from mjgranular.scheme.dense import add_scaled, clear, copy, inner
-from mjgranular.scheme.metric import add_metric
+from mjgranular.scheme.metric import add_free_bias, add_metric
 from mjgranular.scheme.workspace import DISCRETE, EULER, EULER_DAMPED, IMPLICIT, POLY
 
 _JOINT = np.int32(mujoco.mjtObj.mjOBJ_JOINT)
@@ -56,15 +56,15 @@ def prepare_inertia(w):
         add_metric(w)
     elif w.integrator != EULER:
         # implicitfast omits the derivative of the bias and reads the lower half of the rest; for
-        # lone free bodies it uses all of it.
+        # lone free bodies it uses all of both.
         smooth_derivative(w.model, w.data, 0)
         read_derivative(w, w.dofs)
         for i in range(nv):
             for j in range(i):
                 w.damping[j, i] = w.damping[i, j]
-        if w.nlone > 0:
-            smooth_derivative(w.model, w.data, 1)
-            read_derivative(w, w.lone_dofs)
+        read_derivative(w, w.lone_dofs)
+        for k in range(0, w.nlone, 6):
+            add_free_bias(w, w.damping, w.lone_dofs[k])
     for i in range(nv):
         add_scaled(inertia[i], 1.0, w.damping[i])
         w.weight[i] = 1.0 / inertia[i, i]

@@ -82,12 +82,16 @@ def add_metric(w):
         unit[j] = 1.0
         add_metric_product(w.model, w.data, inertia[j].ctypes.data, unit.ctypes.data, 1)
         unit[j] = 0.0
-    block = numbers_of_block()
     for k in range(0, w.nlone, 6):
-        first = w.lone_dofs[k]
-        joint = w.dof_jntid[first]
-        if turns_freely(w.model, w.data, joint) != 0:
-            free_bias_derivative(w.model, w.data, joint, block.ctypes.data)
-            for i in range(6):
-                for j in range(6):
-                    inertia[first + i, first + j] += w.h * block[6 * i + j]
+        if turns_freely(w.model, w.data, w.dof_jntid[w.lone_dofs[k]]) != 0:
+            add_free_bias(w, inertia, w.lone_dofs[k])
+
+
+@compiled
+def add_free_bias(w, matrix, first):
+    """Add h times the derivative of a free body's bias forces; `first` is its first row."""
+    block = numbers_of_block()
+    free_bias_derivative(w.model, w.data, w.dof_jntid[first], block.ctypes.data)
+    for i in range(6):
+        for j in range(6):
+            matrix[first + i, first + j] += w.h * block[6 * i + j]

@@ -261,9 +261,12 @@ def foreseen(sand, data):
         ),
     ],
 )
-def test_a_body_with_its_mass_off_its_origin(integrator, damping, option, more):
+@pytest.mark.parametrize("factor", [1, 3])  # the second without `mj_setConst`
+def test_a_body_with_its_mass_off_its_origin(integrator, damping, option, more, factor):
     xml = LONE.format(integrator=integrator, damping=damping, option=option, more=more)
     model = mujoco.MjModel.from_xml_string(xml)
+    model.body_mass[1] *= factor
+    model.body_inertia[1] *= factor
     worst = work = 0.0
     for seed in range(4):
         sand = Sand(model, law="link_distributed", scheme="implicit")
