@@ -8,7 +8,7 @@ from mjgranular.envs.gym_robots import Ant, HalfCheetah, Hopper, Humanoid, Swimm
 from mjgranular.envs.hexapod import Hexapod
 from mjgranular.envs.link_drop import LinkDrop
 from mjgranular.envs.task import Task, tasks
-from mjgranular.envs.velocity import Go1Velocity, Go2Velocity
+from mjgranular.envs.velocity import G1Velocity, Go1Velocity, Go2Velocity
 from mjgranular.errors import InputError
 
 NAMESPACE = "mjgranular"
@@ -17,7 +17,7 @@ VERSION = 0
 _OURS: tuple[type[Task], ...] = (
     ChainSwim, ChainCrawl, Hexapod, LinkDrop,
     Hopper, Walker2d, HalfCheetah, Ant, Humanoid, Swimmer,
-    Go1Velocity, Go2Velocity,
+    Go1Velocity, Go2Velocity, G1Velocity,
 )  # fmt: skip
 
 

@@ -19,9 +19,6 @@ from mjgranular.models import robot_path
 from mjgranular.shape.select import Choice
 from mjgranular.shape.sizes import geom_axes
 
-LEGS = ("FR", "FL", "RR", "RL")
-JOINTS = tuple(f"{leg}_{part}_joint" for leg in LEGS for part in ("hip", "thigh", "calf"))
-
 # Rows of `userdata`: steps of the episode, sine and cosine of the slope, the last action, and what
 # is drawn at the start: commands and pushes, each with the step at which it begins.
 _STEP, _SLOPE, _ACTION = 0, slice(1, 3), slice(3, 15)
@@ -39,18 +36,6 @@ _PUSH_TIME = (1.0, 3.0)  # from one push to the next [s]
 _PUSH_SIZE = np.array([0.5, 0.5, 0.4, 0.52, 0.52, 0.78])  # [m/s], [rad/s]
 _STANDING, _FORWARD = 0.1, 0.2  # shares of commands to stand, and to walk straight ahead
 
-# Stiffness and damping of motors as in MuJoCo Playground. With mjlab's, a natural frequency of
-# 10 Hz, the trunk sags and a scripted trot does not get ahead on sand.
-_STIFFNESS, _DAMPING = 35.0, 0.5  # [N m/rad], [N m s/rad]
-_STANCE = {"hip": 0.1, "thigh": 0.9, "calf": -1.8}  # [rad]; hips on the left have the other sign
-_POSE = np.array([0.3, 0.3, 0.6] * 4)  # deviations from the stance that a gait needs [rad]
-
-_GAIT = 2.0  # steps of each leg in a second; chosen, as are _SWING, _LIFT and _GAIN
-_SWING = 0.08  # height of a swinging foot over the surface [m]
-_LEG = 0.27  # height of a hip over its foot in the stance [m]: 2 x 0.213 m x cos 0.9
-_LIFT = (0.5, -1.0)  # thigh and calf of a swinging leg [rad]
-_GAIN = 1.5  # strides over what would do without slip
-_PAIRS = np.array([1.0, -1.0, -1.0, 1.0])  # a trot: legs of one sign swing together
 _TILT = math.cos(math.radians(70))  # as in mjlab
 _OF_MOTORS = ("actuator_gainprm", "actuator_biasprm", "actuator_forcerange")
 
@@ -60,6 +45,21 @@ class Motor(NamedTuple):
 
     torque: float  # the largest [N m]
     inertia: float  # of its rotor [kg m^2]
+    # As in MuJoCo Playground. With mjlab's, a natural frequency of 10 Hz, the trunk of a Go1 sags
+    # and a scripted trot does not get ahead on sand.
+    stiffness: float = 35.0  # [N m/rad]
+    damping: float = 0.5  # [N m s/rad]
+
+
+class Gait(NamedTuple):
+    """A scripted gait: what each leg does, its joints from the hip down. All chosen."""
+
+    rate: float  # steps of each leg in a second
+    swing: float  # height of a swinging foot over the surface [m]
+    leg: float  # height of a hip over its sole in the stance [m]
+    gain: float  # strides over what would do without slip
+    lift: tuple[float, ...]  # offsets that raise a swinging leg [rad]
+    stride: tuple[float, ...]  # joints that swing it back, 1 or -1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,7 +117,7 @@ class Go1Velocity(Task):
     | index | name | unit | range |
     |---|---|---|---|
     | 0 to 2 | velocity of the trunk, in its frame | m/s | any |
-    | 3 to 6 | heights of the soles over the untouched surface, as `LEGS` | m | any |
+    | 3 to 6 | heights of the soles over the untouched surface, in the order of legs | m | any |
     | 7 to 9 | force of the sand on the robot, in the world's frame | N | any |
     | 10, 11 | drawn strength and density of the sand | 1 | `randomise` |
     | 12 | drawn slope | rad | `randomise` |
@@ -178,14 +178,21 @@ class Go1Velocity(Task):
         "trackbodyid": 1, "distance": 1.6, "azimuth": 125.0, "elevation": -15.0,
     }  # fmt: skip
     timestep: ClassVar[float] = 0.005
+    # Bodies of the feet; legs of one sign swing together.
+    feet: ClassVar[dict[str, float]] = {"FR_calf": 1, "FL_calf": -1, "RR_calf": -1, "RL_calf": 1}
+    # Names of a leg's joints: the side, as in the name of its foot, and one of these.
     motors: ClassVar[dict[str, Motor]] = {
         "hip": Motor(23.7, 0.000111842 * 6.0**2),  # data sheet and gears as in mjlab
         "thigh": Motor(23.7, 0.000111842 * 6.0**2),
         "calf": Motor(35.55, 0.000111842 * 9.0**2),
     }
+    # Joint angles [rad], and deviations from them that a gait needs.
+    stance: ClassVar[tuple[float, ...]] = 2 * (0.1, 0.9, -1.8, -0.1, 0.9, -1.8)
+    pose: ClassVar[tuple[float, ...]] = 4 * (0.3, 0.3, 0.6)
+    gait: ClassVar[Gait] = Gait(2.0, 0.08, 0.27, 1.5, (0.0, 0.5, -1.0), (0.0, 1.0, 0.0))
 
     robot_file: str | Path = "unitree_go1"
-    bodies: Choice = tuple(f"{leg}_calf" for leg in LEGS)
+    bodies: Choice = tuple(feet)
     resolution: int | None = 2
     frame_skip: int = 4
     command_x: tuple[float, float] = (-0.8, 0.8)
@@ -228,13 +235,17 @@ class Go1Velocity(Task):
         path = robot_path(self.robot_file)
         with converted_errors():
             spec = mujoco.MjSpec.from_file(str(path))
-        _check_robot(spec, path)
+        self._check_robot(spec, path)
         for each in (*spec.sensors, *spec.actuators, *spec.keys):
             spec.delete(each)
-        for name in JOINTS:
-            _add_motor(spec, spec.joint(name), self.motors[name.split("_")[1]])
-        for leg in LEGS:
-            _add_foot_site(spec.body(f"{leg}_calf"))
+        for joint in spec.joints[1:]:
+            if joint.name not in self.joints():
+                spec.delete(joint)
+        motors = len(self.feet) * [*self.motors.values()]
+        for name, motor in zip(self.joints(), motors, strict=True):
+            _add_motor(spec, spec.joint(name), motor)
+        for foot in self.feet:
+            self.add_sole(spec, spec.body(foot))
         for body in spec.bodies[1:]:
             for geom in body.geoms:
                 geom.conaffinity = int(bool(geom.contype or geom.conaffinity))
@@ -245,22 +256,54 @@ class Go1Velocity(Task):
         spec.nuserdata = _PAST.start + _SENSED * self.history
         return spec
 
+    @classmethod
+    def joints(cls) -> tuple[str, ...]:
+        """Return the names of the joints that have motors, leg by leg."""
+        sides = [foot.partition("_")[0] for foot in cls.feet]
+        return tuple(f"{side}_{part}_joint" for side in sides for part in cls.motors)
+
+    def _check_robot(self, spec: mujoco.MjSpec, path: Path) -> None:
+        kinds = {joint.name: joint.type for joint in spec.joints}
+        ours = {kinds.get(name) for name in self.joints()}
+        first = spec.joints[0].type if spec.joints else None
+        if first != mujoco.mjtJoint.mjJNT_FREE or ours != {mujoco.mjtJoint.mjJNT_HINGE}:
+            raise InputError(
+                f"{path} must have the joints {', '.join(self.joints())}, after a free joint"
+            )
+        if any(spec.body(foot) is None for foot in self.feet):
+            raise InputError(f"{path} must have the bodies {', '.join(self.feet)}")
+
+    def add_sole(self, spec: mujoco.MjSpec, foot: mujoco.MjsBody) -> None:
+        """Mark the sole of a foot: the lowest sphere of the calf."""
+        spheres = [
+            geom
+            for geom in foot.geoms
+            if geom.type == mujoco.mjtGeom.mjGEOM_SPHERE and (geom.contype or geom.conaffinity)
+        ]
+        if not spheres:
+            raise InputError(f"the body {foot.name} must have a sphere that collides: its foot")
+        lowest = min(spheres, key=lambda geom: geom.pos[2])
+        foot.add_site(name=_sole_name(foot.name), pos=lowest.pos, size=lowest.size, group=5)
+
     @cached_property
     def _stance(self) -> np.ndarray:
         """Joint angles of the stance [rad], shape (12,)."""
-        stance = np.array([_STANCE[joint.split("_")[1]] for joint in JOINTS])
-        stance[[3, 9]] *= -1  # hips on the left
-        return stance
+        return np.array(self.stance)
 
     @cached_property
     def _angles(self) -> np.ndarray:
-        """Indices of `JOINTS` in `qpos`, shape (12,)."""
-        return np.array([self.model.joint(joint).qposadr[0] for joint in JOINTS])
+        """Indices of `joints()` in `qpos`, shape (12,)."""
+        return np.array([self.model.joint(joint).qposadr[0] for joint in self.joints()])
 
     @cached_property
     def _rates(self) -> np.ndarray:
-        """Indices of `JOINTS` in `qvel`, shape (12,)."""
-        return np.array([self.model.joint(joint).dofadr[0] for joint in JOINTS])
+        """Indices of `joints()` in `qvel`, shape (12,)."""
+        return np.array([self.model.joint(joint).dofadr[0] for joint in self.joints()])
+
+    @cached_property
+    def _pairs(self) -> np.ndarray:
+        """Signs of the legs: those of one sign swing together."""
+        return np.array([*self.feet.values()])
 
     @cached_property
     def _low(self) -> float:
@@ -275,12 +318,12 @@ class Go1Velocity(Task):
     @cached_property
     def _feet(self) -> list[int]:
         """Rows of the feet in `site_xpos`."""
-        return [self.model.site(_foot_name(leg)).id for leg in LEGS]
+        return [self.model.site(_sole_name(foot)).id for foot in self.feet]
 
     @cached_property
     def _radius(self) -> float:
-        """Radius of a foot [m]."""
-        return float(self.model.site(_foot_name(LEGS[0])).size[0])
+        """Height of a foot's site over its sole [m]."""
+        return float(self.model.site(self._feet[0]).size[0])
 
     @cached_property
     def _standing(self) -> np.ndarray:
@@ -396,17 +439,18 @@ class Go1Velocity(Task):
         # Not by `once`: the command may have changed since the last observation.
         command = self._command(state)
         clock = self._find_clock(state, command)
-        lift = np.maximum(clock[:, :1] * _PAIRS, 0.0)
-        stride = clock[:, 1:] * _PAIRS * command[:, :1] * (_GAIN / (4 * _GAIT * _LEG))
-        offsets = [np.zeros_like(lift), _LIFT[0] * lift + stride, _LIFT[1] * lift]
-        return np.stack(offsets, axis=2).reshape(-1, len(JOINTS))
+        gait, pairs = self.gait, self._pairs
+        lift = np.maximum(clock[:, :1] * pairs, 0.0)
+        stride = clock[:, 1:] * pairs * command[:, :1] * (gait.gain / (4 * gait.rate * gait.leg))
+        offsets = [a * lift + b * stride for a, b in zip(gait.lift, gait.stride, strict=True)]
+        return np.stack(offsets, axis=2).reshape(len(lift), -1)
 
     def _clock(self, state: State) -> np.ndarray:
         """Return sine and cosine of the gait's phase, 0 if the command is to stand; (n, 2)."""
         return self.once(state, "clock", lambda state: self._find_clock(state, self.command(state)))
 
     def _find_clock(self, state: State, command: np.ndarray) -> np.ndarray:
-        angles = 2 * math.pi * _GAIT * self.dt * state.userdata[:, _STEP]
+        angles = 2 * math.pi * self.gait.rate * self.dt * state.userdata[:, _STEP]
         clock = np.array([(math.sin(angle), math.cos(angle)) for angle in angles.tolist()])
         walks = np.square(command).sum(axis=1) > 0.0
         return np.where(walks[:, None], clock, 0.0)
@@ -443,12 +487,13 @@ class Go1Velocity(Task):
         normal = _to_body(state.qpos, (0.0, 0.0, 1.0))
         tilt = np.square(normal[0]) + np.square(normal[1])
         stands = np.square(command).sum(axis=1) == 0.0
+        needed = np.array(self.pose)
         offset = (state.qpos[:, self._angles] - self._stance) / np.where(
-            stands[:, None], _POSE / 3, _POSE
+            stands[:, None], needed / 3, needed
         )
         speed = np.sqrt(np.square((feet - feet_before)[:, :, :2] / self.dt).sum(axis=2))
         height = self._heights(state)
-        lift = _SWING * self._clock(state)[:, :1] * _PAIRS
+        lift = self.gait.swing * self._clock(state)[:, :1] * self._pairs
         stray = np.where(lift > 0.0, height - lift, np.maximum(height, 0.0))
         change = state.userdata[:, _ACTION] - last
         slip = np.where(height < 0.0, np.square(speed), 0.0)
@@ -561,38 +606,119 @@ class Go2Velocity(Go1Velocity):
     robot_file: str | Path = "unitree_go2"
 
 
-def _check_robot(spec: mujoco.MjSpec, path: Path) -> None:
-    kinds = [mujoco.mjtJoint.mjJNT_FREE, *[mujoco.mjtJoint.mjJNT_HINGE] * len(JOINTS)]
-    names = sorted(joint.name for joint in spec.joints[1:])
-    if [joint.type for joint in spec.joints] != kinds or names != sorted(JOINTS):
-        raise InputError(f"{path} must have the joints {', '.join(JOINTS)}, after a free joint")
-    calves = [f"{leg}_calf" for leg in LEGS]
-    if any(spec.body(name) is None for name in calves):
-        raise InputError(f"{path} must have the bodies {', '.join(calves)}")
+@dataclass(frozen=True, kw_only=True)
+class G1Velocity(Go1Velocity):
+    """Follow commands of velocity on two legs.
+
+    ## Description
+    A Unitree G1, 33 kg, walks on Quikrete medium sand at commanded velocities, by its legs; waist
+    and arms are locked at angles of zero. Motors are those of mjlab, stiffness and damping those of
+    Unitree's own training (unitree_rl_gym). No policy comes with the package.
+
+    The sand meets the soles, which also stand on a rigid floor:
+
+    | body | geom | why |
+    |---|---|---|
+    | `*_ankle_roll_link` | a box around what collides, up to the ankle | small spheres sink |
+    | others | none | the ankle stays over the sand where the foot carries the robot |
+
+    ## Action Space
+    `Box(-1, 1, (12,), float32)`: positions that the motors go to, 50 times a second, as offsets
+    from those of a walk at the commanded velocity ahead; from the stance if the command is to
+    stand. The walk lifts a leg in turn, 1.25 times a second each, by bending its knee by 0.7 rad
+    with the sole level, and swings it by 1.2 of the stride that would do without slip. It does not
+    keep its balance.
+
+    | index | name | unit | range |
+    |---|---|---|---|
+    | 0 to 2 | hip of the left leg: pitch, roll and yaw | rad | -1 to 1 |
+    | 3 | knee | rad | -1 to 1 |
+    | 4, 5 | ankle: pitch and roll | rad | -1 to 1 |
+    | 6 to 11 | right leg | rad | -1 to 1 |
+
+    ## Observation Space
+    `Box(-inf, inf, (47,), float64)`: that of `Go1Velocity`, of the pelvis and these joints. Two
+    soles make 13 numbers of `info["privileged"]`.
+
+    ## Rewards
+    Those of `Go1Velocity`. Deviations from the stance count in units of 0.4 rad (hip pitch, ankle
+    pitch), 0.6 rad (knee) and 0.15 rad (others).
+
+    ## Starting State
+    As in `Go1Velocity`, knees bent by 0.67 rad.
+
+    ## Episode End
+    As in `Go1Velocity`, but the center of the pelvis is less than 0.4 m above the surface.
+
+    ## Arguments
+    Those of `Go1Velocity`, `frame_skip=4` as there; `command_x=(-0.4, 0.8)`,
+    `command_y=(-0.3, 0.3)`, `command_yaw=(-0.8, 0.8)`.
+
+    ## Version History
+    v0: first.
+    """
+
+    title: ClassVar[str] = "a Unitree G1 follows commands of velocity"
+    camera: ClassVar[dict[str, Any]] = {
+        "trackbodyid": 1, "distance": 2.8, "azimuth": 125.0, "elevation": -10.0,
+    }  # fmt: skip
+    feet: ClassVar[dict[str, float]] = {"left_ankle_roll_link": 1, "right_ankle_roll_link": -1}
+    motors: ClassVar[dict[str, Motor]] = {
+        "hip_pitch": Motor(88.0, 0.0102, 150.0, 2.0),
+        "hip_roll": Motor(139.0, 0.0251, 150.0, 2.0),
+        "hip_yaw": Motor(88.0, 0.0102, 150.0, 2.0),
+        "knee": Motor(139.0, 0.0251, 300.0, 4.0),
+        "ankle_pitch": Motor(50.0, 0.0072, 40.0, 2.0),
+        "ankle_roll": Motor(50.0, 0.0072, 40.0, 2.0),
+    }
+    stance: ClassVar[tuple[float, ...]] = 2 * (-0.312, 0.0, 0.0, 0.669, -0.363, 0.0)  # mjlab's
+    pose: ClassVar[tuple[float, ...]] = 2 * (0.4, 0.15, 0.15, 0.6, 0.4, 0.15)
+    gait: ClassVar[Gait] = Gait(
+        1.25, 0.08, 0.65, 1.2, (-0.35, 0.0, 0.0, 0.7, -0.35, 0.0), (1.0, 0.0, 0.0, 0.0, -1.0, 0.0)
+    )
+
+    robot_file: str | Path = "unitree_g1"
+    bodies: Choice = tuple(feet)
+    command_x: tuple[float, float] = (-0.4, 0.8)
+    command_y: tuple[float, float] = (-0.3, 0.3)
+    command_yaw: tuple[float, float] = (-0.8, 0.8)
+
+    @property
+    def _low(self) -> float:
+        return 0.4
+
+    def add_sole(self, spec: mujoco.MjSpec, foot: mujoco.MjsBody) -> None:
+        """Replace what a foot collides with by a box around it, up to the ankle's axis."""
+        hard = [geom for geom in foot.geoms if geom.contype or geom.conaffinity]
+        if not hard:
+            raise InputError(f"the body {foot.name} must have a geom that collides: its foot")
+        model = spec.compile()
+        low, high = np.full(3, np.inf), np.full(3, -np.inf)
+        for geom in (geom.id for geom in hard):
+            axes, box = geom_axes(model, geom), model.geom_aabb[geom]
+            middle, reach = model.geom_pos[geom] + axes @ box[:3], np.abs(axes) @ box[3:]
+            low, high = np.minimum(low, middle - reach), np.maximum(high, middle + reach)
+        high[2] = 0.0
+        for geom in hard:
+            geom.contype = geom.conaffinity = 0
+        middle, halves = (low + high) / 2, (high - low) / 2
+        name = _sole_name(foot.name)
+        foot.add_geom(
+            name=name, type=mujoco.mjtGeom.mjGEOM_BOX, pos=middle, size=halves, mass=0.0,
+            conaffinity=1, group=3, friction=hard[0].friction,
+        )  # fmt: skip
+        foot.add_site(name=name, pos=middle, size=[halves[2], 0.0, 0.0], group=5)
 
 
-def _foot_name(leg: str) -> str:
-    return f"{leg} sole"
+def _sole_name(foot: str) -> str:
+    return f"{foot.partition('_')[0]} sole"
 
 
 def _add_motor(spec: mujoco.MjSpec, joint: mujoco.MjsJoint, motor: Motor) -> None:
     joint.armature, joint.damping, joint.frictionloss = motor.inertia, [0, 0, 0], 0.0
     servo = spec.add_actuator(name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-    servo.set_to_position(kp=_STIFFNESS, kv=_DAMPING)
+    servo.set_to_position(kp=motor.stiffness, kv=motor.damping)
     servo.forcelimited, servo.forcerange = True, [-motor.torque, motor.torque]
-
-
-def _add_foot_site(calf: mujoco.MjsBody) -> None:
-    """Mark the center of the foot: the lowest sphere of the calf."""
-    feet = [
-        geom
-        for geom in calf.geoms
-        if geom.type == mujoco.mjtGeom.mjGEOM_SPHERE and (geom.contype or geom.conaffinity)
-    ]
-    if not feet:
-        raise InputError(f"the body {calf.name} must have a sphere that collides: its foot")
-    foot = min(feet, key=lambda geom: geom.pos[2])
-    calf.add_site(name=_foot_name(calf.name.split("_")[0]), pos=foot.pos, size=foot.size, group=5)
 
 
 def _to_body(qpos: np.ndarray, vector: Any) -> tuple[Any, Any, Any]:

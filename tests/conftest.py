@@ -145,12 +145,16 @@ def register(monkeypatch: pytest.MonkeyPatch) -> Callable[[Medium], Medium]:
 
 @pytest.fixture(scope="session")
 def robots() -> Iterator[Path]:
-    """A folder with a Unitree Go1 and Go2, as `MENAGERIE_ROOT`.
+    """A folder with a Unitree Go1, Go2 and G1, as `MENAGERIE_ROOT`.
 
     They are downloaded once, and kept.
     """
     root = Path.home() / ".cache" / "mjgranular-tests"
-    for name, download in (("unitree_go1", _download_go1), ("unitree_go2", _download_go2)):
+    for name, download in (
+        ("unitree_go1", _download_go1),
+        ("unitree_go2", _download_go2),
+        ("unitree_g1", _download_g1),
+    ):
         if not (root / name).is_dir():
             root.mkdir(parents=True, exist_ok=True)
             with tempfile.TemporaryDirectory(dir=root) as folder:
@@ -196,6 +200,19 @@ def _download_go2(folder: Path) -> Path:
     (folder / "go2").mkdir()
     tree.write(folder / "go2" / "go2.xml")
     return folder / "go2"
+
+
+def _download_g1(folder: Path) -> Path:
+    """Return a new folder with the G1 that the wheel of mjlab has, without meshes."""
+    inside = "mjlab/asset_zoo/robots/unitree_g1/xmls/g1.xml"
+    _extract("mjlab==1.6.0", inside, folder)
+    tree = ElementTree.parse(folder / inside)
+    for part in list(tree.iter()):
+        for child in part.findall("geom[@class='visual']") + part.findall("mesh"):
+            part.remove(child)
+    (folder / "g1").mkdir()
+    tree.write(folder / "g1" / "g1.xml")
+    return folder / "g1"
 
 
 def _extract(package: str, inside: str, folder: Path) -> None:

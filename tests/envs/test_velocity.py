@@ -14,7 +14,7 @@ import pytest
 from mjgranular import InputError, UnknownNameError
 from mjgranular.envs import SandRanges, SandVectorEnv
 from mjgranular.envs.single import SandEnv
-from mjgranular.envs.velocity import Go1Velocity, Go2Velocity
+from mjgranular.envs.velocity import G1Velocity, Go1Velocity, Go2Velocity
 from mjgranular.experiment.drop import Drop, load
 from mjgranular.models import robot_path
 
@@ -110,6 +110,47 @@ def test_it_stands_with_its_weight_on_its_feet(robot):
     assert observation[:3] == pytest.approx([0, 0, -1], abs=0.05)
     assert 7 * task.dt < reward < 8 * task.dt
     assert sum(info[name] for name in info if name.startswith("reward_")) == pytest.approx(reward)
+
+
+def test_a_robot_on_two_legs_meets_the_sand_with_its_soles():
+    task = G1Velocity(**STILL, **STAND, privileged=True)
+    model = task.model
+    assert (model.nu, model.nv) == (12, 18)  # waist and arms are locked
+    feet = [model.geom(f"{side} sole") for side in ("left", "right")]
+    for foot in feet:
+        length, width, height = 2 * foot.size
+        assert 0.19 < length < 0.22
+        assert 0.06 < width < 0.08
+        assert foot.pos[2] + height / 2 == pytest.approx(0.0)
+    env = SandEnv(task)
+    _, info = env.reset(seed=0)
+    assert info["privileged"].shape == (13,)
+    assert info["privileged"][3:5] == pytest.approx([0.0, 0.0], abs=2e-3)
+    for _ in range(15):
+        _, _, terminated, _, info = env.step(ZERO)
+    assert not terminated
+    weight = model.body_mass.sum() * 9.81
+    assert info["sand/force"][2] == pytest.approx(weight, rel=0.3)
+    assert 0.0 < info["sand/depth"] < 0.03
+    # It keeps no balance: the policy has to.
+    for _ in range(85):
+        terminated = env.step(ZERO)[2]
+        if terminated:
+            break
+    assert terminated
+
+
+def test_the_scripted_walk_lifts_one_leg_in_turn_with_level_soles():
+    env = SandEnv(G1Velocity(**STILL, **{**STAND, "command_x": (0.4, 0.4)}))
+    env.reset(seed=0)
+    task, targets = env.task, []
+    for step in range(40):
+        env.data.userdata[0] = step
+        targets.append(task._trot(env._state)[0].reshape(2, 6))
+    hip, knee, ankle = (np.array(targets)[:, :, part] for part in (0, 3, 4))
+    assert np.abs(hip + knee + ankle).max() == pytest.approx(0.0, abs=1e-12)
+    assert knee.max(axis=0) == pytest.approx([0.7, 0.7], rel=0.01)
+    assert np.all(knee.min(axis=1) == 0.0)
 
 
 def test_legs_may_be_in_any_order(go1, tmp_path):
