@@ -13,8 +13,8 @@ from mjgranular._util.checks import kind_of
 from mjgranular.engine import tune
 from mjgranular.envs.figures import Figures
 from mjgranular.errors import InputError, UnknownNameError
-from mjgranular.law import laws
-from mjgranular.medium import get_medium, media
+from mjgranular.law import law_in
+from mjgranular.medium import Medium, get_medium, media
 from mjgranular.sand.material import medium_for
 from mjgranular.sand.spec import SandSpec, combined
 
@@ -26,7 +26,7 @@ STEEPEST = math.radians(34)
 medium sand (Agarwal, Goldman, Kamrin, PNAS 120 (2023), tangent of internal friction)."""
 
 _DRAWN = ("strength", "density", "slope")
-_NAMED = {"media": ("medium", media), "laws": ("law", laws), "surfaces": ("surface", SURFACES)}
+_NAMED = ("media", "laws", "surfaces")
 _STRONGEST = 100.0  # factor; chosen: far beyond any sand
 
 
@@ -39,8 +39,9 @@ class SandRanges:
         density: factor on rate-dependent resistance, (low, high).
         slope: slope of the ground, uphill toward +x [rad], (low, high). Gravity is tilted, not the
             sand: heights and depths are along the surface's normal.
-        media: names of media; empty for the environment's default.
-        laws: names of laws; empty for the environment's default, or that of each medium.
+        media: names of media, or paths of YAML files; empty for the environment's default.
+        laws: names of laws, with parameters if any; empty for the environment's default, or that of
+            each medium.
         surfaces: names from `SURFACES`; empty for the environment's default.
 
     Raises:
@@ -73,14 +74,11 @@ class SandRanges:
                 f"SandRanges: slope must be within {STEEPEST:.3f} rad (34 degrees, the angle of "
                 f"repose) either way, not {self.slope}"
             )
-        for name, (kind, known) in _NAMED.items():
+        for name in _NAMED:
             names = getattr(self, name)
             if isinstance(names, str) or not isinstance(names, Sequence):
                 raise InputError(f"SandRanges: {name} must be a tuple of names, not {names!r}")
-            for given in names:
-                if given not in known:
-                    raise UnknownNameError(kind, given, known)
-            object.__setattr__(self, name, tuple(names))
+            object.__setattr__(self, name, tuple(_checked_name(name, given) for given in names))
 
     @classmethod
     def of(cls, table: Mapping[str, Any]) -> Self:
@@ -101,6 +99,25 @@ class SandRanges:
                         f"{key} of {origin} have {name!r}, which randomise does not: it has "
                         f"{', '.join(there) or 'none'}"
                     )
+
+
+def _checked_name(key: str, given: Any) -> str:
+    """Return the name of a medium, law or surface that exists; of a registered medium, its own."""
+    if key == "media":
+        if isinstance(given, Medium):
+            if media.get(given.name) != given:
+                raise InputError(
+                    f"SandRanges: the medium {given.name!r} must be registered: call "
+                    "register_medium with it before, or give the path of a YAML file"
+                )
+            return given.name
+        get_medium(given)
+        return str(given)
+    if key == "laws":
+        law_in(given)
+    elif given not in SURFACES:
+        raise UnknownNameError("surface", given, SURFACES)
+    return given
 
 
 def _finite_range(name: str, given: Any) -> tuple[float, float]:

@@ -57,14 +57,15 @@ def listed(names: Iterable[str]) -> str:
 
 def _known_ones(name: object, known: Sequence[str], *, guess: bool = True) -> str:
     """Return the end of a message on an unknown name: similar names, and the valid ones."""
-    near = _near(str(name)[:_LONGEST_VALUE].lower(), known) if guess else []
+    near = similar_names(name, known) if guess else []
     if near and len(known) > _SHORT_LIST:
         return f"; did you mean {', '.join(near)}? There are {len(known)} in all"
     return f"; there are: {listed(known)}" + (f"; did you mean {near[0]}?" if near else "")
 
 
-def _near(name: str, known: Sequence[str]) -> list[str]:
+def similar_names(given: object, known: Sequence[str]) -> list[str]:
     """Return up to three names that resemble or contain a name, ignoring case."""
+    name = str(given)[:_LONGEST_VALUE].lower()
     # `Hexapod-v0` may be given without its namespace, as may a robot's `foot`.
     lower = {one.rpartition("/")[2].lower(): one for one in known}
     lower |= {one.lower(): one for one in known}

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping
 from typing import TypeVar
 
-from mjgranular.errors import InputError, UnknownNameError
+from mjgranular.errors import InputError, UnknownNameError, similar_names
 
 T = TypeVar("T")
 
@@ -11,8 +11,9 @@ T = TypeVar("T")
 class Registry(Mapping[str, T]):
     """A mapping from names to things whose `KeyError` lists the names that exist."""
 
-    def __init__(self, kind: str) -> None:
+    def __init__(self, kind: str, hint: str = "") -> None:
         self._kind = kind
+        self._hint = hint  # how to add one, for names that resemble none
         self._things: dict[str, T] = {}
 
     def add(self, name: str, thing: T, *, replace: bool = False) -> None:
@@ -28,7 +29,9 @@ class Registry(Mapping[str, T]):
         try:
             return self._things[name]
         except (KeyError, TypeError):
-            raise UnknownNameError(self._kind, name, sorted(self._things)) from None
+            known = sorted(self._things)
+            hint = "" if similar_names(name, known) else self._hint
+            raise UnknownNameError(self._kind, name, known, hint) from None
 
     def __iter__(self) -> Iterator[str]:
         return iter(sorted(self._things))

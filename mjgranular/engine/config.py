@@ -98,7 +98,9 @@ def write_config(
     writers = {
         "medium": _write_medium,
         "law": lambda law: _write_part(law, laws, "law", "register_law"),
-        "surface": lambda surface: _write_part(surface_of(surface), surfaces, "surface", None),
+        "surface": lambda surface: _write_part(
+            surface_of(surface), surfaces, "surface", "surfaces.add"
+        ),
         "scheme": lambda scheme: _write_part(scheme, schemes, "scheme", "schemes.add"),
         "bodies": lambda bodies: _write_words(names_in(bodies)),
         "geoms": lambda geoms: _write_words(names_in(geoms)),
@@ -168,7 +170,7 @@ def _write_words(names: Sequence[Any] | str | int) -> str:
     return shlex.join([str(names)] if isinstance(names, (str, int)) else map(str, names))
 
 
-def _write_part(part: Any, register: Registry[Any], kind: str, how: str | None) -> str:
+def _write_part(part: Any, register: Registry[Any], kind: str, how: str) -> str:
     """Write a name as it is, and an object as its name and all of its fields."""
     if isinstance(part, str):
         return part
@@ -177,9 +179,9 @@ def _write_part(part: Any, register: Registry[Any], kind: str, how: str | None) 
             return name
         if type(part) is cls:
             return " ".join([name, *(_write_field(part, field.name) for field in fields(part))])
-    hint = f"register it with {how}" if how else f"there are: {', '.join(register)}"
     raise InputError(
-        f"{type(part).__name__} is not a {kind} that can be written in MJCF by name; {hint}"
+        f"{type(part).__name__} is not a {kind} that can be written in MJCF by name: register it "
+        f"with {how}, or use one of {', '.join(register)}"
     )
 
 

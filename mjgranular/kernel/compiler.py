@@ -39,6 +39,8 @@ class KernelError(GranularError, TypeError):
         reason = next((line for line in lines if line and not line.startswith(_NO_REASON)), "")
         place = next(filter(None, map(_PLACE.search, lines)), None)
         where = f", in {place[1]}, line {place[2]}" if place else ""
+        if isinstance(error, KeyError):  # numba names the attribute and nothing else
+            reason = f"no record that they read has a field {reason}"
         super().__init__(
             f"numba cannot compile the kernels{what and ' for '}{what}: "
             f"{type(error).__name__}: {reason}{where}"

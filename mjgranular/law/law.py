@@ -18,7 +18,7 @@ from mjgranular.law.validity import Finding, Limit, findings_of
 from mjgranular.medium import Medium, get_medium
 from mjgranular.surface import Surface
 
-laws: Registry[type["Law"]] = Registry("law")
+laws: Registry[type["Law"]] = Registry("law", "import its module")
 """Law classes by name."""
 
 
@@ -143,6 +143,8 @@ def register_law(law: LawClass, *, replace: bool = False) -> LawClass:
     """
     if not (isinstance(law, type) and issubclass(law, Law)):
         raise InputError(f"a law is a class that derives from mjgranular.Law, not {kind_of(law)}")
+    if not isinstance(getattr(law, "name", None), str):
+        raise InputError(f"the law {law.__name__} must have a class variable `name`, a string")
     laws.add(law.name, law, replace=replace)
     return law
 

@@ -14,7 +14,7 @@ from mjgranular._util.registry import Registry
 from mjgranular.errors import InputError, UnknownNameError, shown
 from mjgranular.medium.medium import Medium, Quantity
 
-media: Registry[Medium] = Registry("medium")
+media: Registry[Medium] = Registry("medium", "import its module, or name a .yaml file")
 """Media by their names."""
 
 _OPTIONS = re.compile(r"(.*?\S)((?:\s+\w+=\S*)+)\s*")

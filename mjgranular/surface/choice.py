@@ -10,6 +10,8 @@ from mjgranular.errors import InputError, shown
 from mjgranular.surface.surface import Bed, HeightField, Plane, Surface
 
 surfaces: Registry[type[Surface]] = Registry("surface")
+"""Classes of surfaces by the names that MJCF and strings use; `surfaces.add` adds a custom one."""
+
 surfaces.add("plane", Plane)
 surfaces.add("bed", Bed)
 surfaces.add("height_field", HeightField)

@@ -13,6 +13,7 @@ import pytest
 import mjgranular
 from mjgranular import laws, media
 from mjgranular.envs import tasks
+from mjgranular.surface import surfaces
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -23,7 +24,7 @@ PYTHON = re.compile(r"^```python\n(.*?)^```\n(?:\n```text\n(.*?)^```)?", re.DOTA
 @pytest.fixture
 def registers(monkeypatch):
     """What a page registers is forgotten after the test."""
-    for registry in (media, laws, tasks):
+    for registry in (media, laws, surfaces, tasks):
         monkeypatch.setattr(registry, "_things", dict(registry._things))
     before = set(gym.registry)
     yield

@@ -260,6 +260,18 @@ def test_a_name_is_given_once(register):
     assert "test_once" in mg.media
 
 
+def test_a_law_without_a_name_cannot_be_registered():
+    with pytest.raises(InputError, match="the law Law must have a class variable `name`"):
+        mg.register_law(mg.Law)
+
+
+def test_of_names_that_resemble_none_it_is_said_how_to_add_one():
+    with pytest.raises(UnknownNameError, match=r"\(import its module, or name a .yaml file\)$"):
+        mg.media["beach"]
+    with pytest.raises(UnknownNameError, match=r"did you mean rft3d\?$"):
+        mg.laws["rtf3d"]
+
+
 def test_a_law_cannot_take_anothers_name():
     class Impostor(mg.LinkLaw):
         pass

@@ -10,6 +10,7 @@ import pickle
 import subprocess
 import sys
 import threading
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +40,7 @@ from mjgranular.engine.config import KEYS
 from mjgranular.engine.instances import sands_in
 from mjgranular.engine.measures import SENSOR, SENSOR_KEYS
 from mjgranular.models import Link
+from mjgranular.surface import surfaces
 
 pytestmark = pytest.mark.filterwarnings("ignore::mjgranular.errors.FloorWarning")
 
@@ -349,6 +351,26 @@ def test_a_surface_of_ones_own_is_refused() -> None:
     Sea.__abstractmethods__ = frozenset()
     with pytest.raises(InputError, match=r"Sea is not a surface .* plane"):
         add_sand(Link().spec(), surface=Sea())
+
+
+def test_a_custom_surface_is_written_by_its_registered_name(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    @dataclass(frozen=True)
+    class Sea(Plane):
+        pass
+
+    monkeypatch.setattr(surfaces, "_things", dict(surfaces._things))
+    surfaces.add("sea", Sea)
+    depths = []
+    for surface in (Sea(height=0.1), "sea height=0.1", Plane(height=0.1)):
+        spec = Link().spec()
+        add_sand(spec, surface=surface)
+        model = spec.compile()
+        data = mujoco.MjData(model)
+        mujoco.mj_step(model, data, 50)
+        depths.append(data.qpos[2])
+    assert depths[0] == depths[1] == depths[2]
 
 
 def test_a_name_that_is_taken_is_refused() -> None:

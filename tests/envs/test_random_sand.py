@@ -9,10 +9,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from mjgranular import InputError, Rft3dLaw, UnknownNameError, media
+from mjgranular import InputError, Rft3dLaw, UnknownNameError, media, register_medium
 from mjgranular.envs import SandEnv, SandRanges, SandVectorEnv, on_sand, tasks
 from mjgranular.envs.dunes import DUNES, Dunes
 from mjgranular.envs.ids import id_of
+from mjgranular.medium.file import EXAMPLE
 
 batches = pytest.mark.skipif(
     importlib.util.find_spec("mujoco.batch") is None, reason="a MuJoCo without batches"
@@ -242,6 +243,20 @@ def test_ranges_may_be_a_table_of_lists():
     assert tasks["Hopper"](randomise=table).randomise == ranges
     one, other = (on_sand("Hopper-v5", randomise=each).reset(seed=0)[1] for each in (table, ranges))
     assert one["sand/strength"] == other["sand/strength"]
+
+
+def test_media_may_be_files_and_objects_and_laws_have_parameters(tmp_path, monkeypatch):
+    monkeypatch.setattr(media, "_things", dict(media._things))
+    file = tmp_path / "beach.yaml"
+    file.write_text(EXAMPLE)
+    mine = register_medium(replace(media["play_sand"], name="mine"))
+    ranges = SandRanges(media=(str(file), mine), laws=("link_distributed pieces=5",))
+    assert ranges.media == (str(file), "mine")
+    env = gym.make("mjgranular/LinkDrop-v0", randomise=ranges)
+    drawn = {env.reset(seed=seed)[1]["sand/medium"] for seed in range(10)}
+    assert drawn == {str(file), "mine"}
+    with pytest.raises(InputError, match="'other' must be registered: call register_medium"):
+        SandRanges(media=(replace(mine, name="other"),))
 
 
 def test_wrong_input_is_told():

@@ -313,6 +313,9 @@ def test_an_error_in_a_law_is_one_sentence_with_a_numba_that_was_tested() -> Non
     assert str(caught.value) == (
         "numba cannot compile the kernels for law mud: TypeError: mine, in a.py, line 3"
     )
+    said = "KeyError: no record that they read has a field 'visc'"
+    with pytest.raises(KernelError, match=said), compiling("law mud"):
+        raise KeyError("visc")
 
 
 HOLD = """
