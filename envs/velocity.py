@@ -131,6 +131,8 @@ class Go1Velocity(Task):
     |---|---|---|
     | `reward_linear` | exp(-e^2 / 0.25), e from the commanded velocity [m/s], 0 along z | 3 |
     | `reward_angular` | exp(-e^2 / 0.5), e from the commanded yaw rate [rad/s] | 1.5 |
+    | `reward_error` | error of the velocity along the surface [m/s] | 0 |
+    | `reward_yaw_error` | error of the yaw rate [rad/s] | 0 |
     | `reward_upright` | exp(-s^2 / 0.2), s the sine of the tilt from the axis z | 1 |
     | `reward_pose` | exp of minus the mean square deviation from the stance | 0.5 |
     | `reward_gait` | exp(-e^2 / 0.01), e the heights of the feet less those of a trot [m] | 2 |
@@ -139,9 +141,11 @@ class Go1Velocity(Task):
     | `reward_torque` | square of the torques [N^2 m^2] | -2e-4 |
     | `reward_slip` | square of the speed along the surface of feet in the sand [m^2/s^2] | -0.1 |
 
-    Deviations from the stance count in units of 0.3 rad, of calves 0.6 rad; a third of that if the
-    command is to stand. Tilt and motion along the surface are relative to the plane z = 0, which
-    is the surface on level sand and on sampled slopes, but not on dunes or a `Plane` with a slope.
+    The exponentials are flat near zero: weights of 9 and 1.5 of the errors themselves, as
+    `error_weight=9`, have commands followed more closely. Deviations from the stance count in units
+    of 0.3 rad, of calves 0.6 rad; a third of that if the command is to stand. Tilt and motion along
+    the surface are relative to the plane z = 0, which is the surface on level sand and on sampled
+    slopes, but not on dunes or a `Plane` with a slope.
 
     ## Starting State
     In its stance on the surface, heading anywhere; joints are off by up to `reset_noise_scale` rad
@@ -206,6 +210,8 @@ class Go1Velocity(Task):
     privileged: bool = False
     linear_weight: float = 3.0
     angular_weight: float = 1.5
+    error_weight: float = 0.0
+    yaw_error_weight: float = 0.0
     upright_weight: float = 1.0
     pose_weight: float = 0.5
     gait_weight: float = 2.0
@@ -502,6 +508,8 @@ class Go1Velocity(Task):
         terms = {
             "linear": self.linear_weight * _exp(-np.square(linear).sum(axis=1) / 0.25),
             "angular": self.angular_weight * _exp(-np.square(yaw) / 0.5),
+            "error": -self.error_weight * np.sqrt(np.square(linear[:, :2]).sum(axis=1)),
+            "yaw_error": -self.yaw_error_weight * np.abs(yaw),
             "upright": self.upright_weight * _exp(-tilt / 0.2),
             "pose": self.pose_weight * _exp(-np.square(offset).sum(axis=1) / 12),
             "gait": self.gait_weight * _exp(-np.square(stray).sum(axis=1) / 0.01),
