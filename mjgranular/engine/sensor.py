@@ -11,13 +11,14 @@ import mujoco
 import numpy as np
 
 from mjgranular.engine.block import HEADER_DTYPE, header_at
+from mjgranular.engine.external import ASLEEP
 from mjgranular.engine.handles import find_block
 from mjgranular.engine.measures import MEASURES
 from mjgranular.engine.trampolines import UNPREPARED
 from mjgranular.errors import InputError, UnknownNameError, listed
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.intrinsics import c_function
-from mjgranular.kernel.memory import field, floats, longs, records, row_of, table_at
+from mjgranular.kernel.memory import NBODY, field, floats, ints, longs, records, row_of, table_at
 from mjgranular.kernel.records import bodies_of, contacts_of
 
 FORCE, MOMENT, DEPTH, POWER, SPEED, TOUCH = range(len(MEASURES))
@@ -87,6 +88,7 @@ def make_readings(
             row["slot"] = _place("body", object, bodies)
         elif objtype == _GEOM and kind == TOUCH:
             _place("geom", object, geoms)
+            row["slot"] = _place("body", int(array("geom_bodyid")[object]), bodies)
             row["geom"] = object
         elif objtype == _SITE and kind == TOUCH:
             row["slot"] = _place("body", int(array("site_bodyid")[object]), bodies)
@@ -205,6 +207,14 @@ def touch(data, block, row):
 
 
 @compiled
+def is_asleep(block, slot):
+    """Return True if MuJoCo skips the tree of a body; its readings stay, as those of MuJoCo do."""
+    header = header_at(block)
+    table = table_at(header.table)
+    return slot >= 0 and ints(header.awake, table[NBODY])[bodies_of(table)[slot].body] == ASLEEP
+
+
+@compiled
 def compute_sensors(model, data, instance, capability):
     """Compute the values of an instance: `compute` of the plugin."""
     block = find_block(data, instance)
@@ -217,7 +227,7 @@ def compute_sensors(model, data, instance, capability):
     for i in range(len(rows)):
         row = rows[i]
         sand = find_block(data, row.sand)
-        if sand != 0 and header_at(sand).table != 0:
+        if sand != 0 and header_at(sand).table != 0 and not is_asleep(sand, row.slot):
             size = 3 if row.measure in (FORCE, MOMENT) else 1
             values = floats(_values(data) + 8 * row.at, size)
             if row.measure == TOUCH:

@@ -115,6 +115,42 @@ def test_sensors_in_copies_and_batches() -> None:
     np.testing.assert_array_equal(readings, np.tile(data.sensordata, (3, 1)))
 
 
+SLEEPERS = """
+<mujoco>
+  <option><flag sleep="enable"/></option>
+  <extension>
+    <plugin plugin="mjgranular.sand"><instance name="sand"/></plugin>
+    <plugin plugin="mjgranular.sensor"/>
+  </extension>
+  <worldbody>
+    <body name="a" pos="0 0 0.05"><freejoint/><geom name="a" size="0.05" mass="0.2"/></body>
+  </worldbody>
+  <sensor>
+    <plugin name="force" plugin="mjgranular.sensor" objtype="body" objname="a">
+      <config key="measure" value="force"/>
+    </plugin>
+    <plugin name="touch" plugin="mjgranular.sensor" objtype="geom" objname="a">
+      <config key="measure" value="touch"/>
+    </plugin>
+  </sensor>
+</mujoco>
+"""
+
+
+@pytest.mark.skipif(not hasattr(mujoco, "mjtSleepState"), reason="in this MuJoCo nothing sleeps")
+def test_what_sleeps_keeps_its_readings() -> None:
+    model = mujoco.MjModel.from_xml_string(SLEEPERS)
+    data = mujoco.MjData(model)
+    names, readings = ("force", "touch"), []
+    while data.body_awake[1] != int(mujoco.mjtSleepState.mjS_ASLEEP) and data.time < 4:
+        readings = [data.sensor(name).data.copy() for name in names]
+        mujoco.mj_step(model, data)
+    mujoco.mj_step(model, data, 200)
+    for name, reading in zip(names, readings, strict=True):
+        assert data.sensor(name).data == pytest.approx(reading, abs=1e-6)
+    assert data.sensor("force").data[2] == pytest.approx(0.2 * 9.81, rel=1e-6)
+
+
 @pytest.mark.parametrize(
     ("before", "after", "said"),
     [
