@@ -230,5 +230,5 @@ def _extract(package: str, inside: str, folder: Path) -> None:
 def robot_of_task(request: pytest.FixtureRequest) -> None:
     """Has the robots there for tests of their tasks."""
     params = request.node.callspec.params if hasattr(request.node, "callspec") else {}
-    if str(params.get("name")).startswith(("Go1", "Go2")):
+    if str(params.get("name")).startswith(("Go1", "Go2", "G1")):
         request.getfixturevalue("robots")
