@@ -165,8 +165,9 @@ class Go1Velocity(Task):
     its center is less than 0.06 m above it. Truncated after 1000 steps of 0.02 s.
 
     ## Arguments
-    `robot_file`, a name of MuJoCo Menagerie or a path of MJCF with the same joints and calves;
-    `command_x=(-0.8, 0.8)`, `command_y=(-0.4, 0.4)`, `command_yaw=(-1, 1)`, `push_scale=1`,
+    `robot_file`, a name of MuJoCo Menagerie or a path of MJCF with the same joints and calves,
+    whose other joints are locked; `command_x=(-0.8, 0.8)`, `command_y=(-0.4, 0.4)`,
+    `command_yaw=(-1, 1)`, `push_scale=1`,
     `motor_strength=(1, 1)`, `delay=(0, 0)`, `reset_noise_scale=0.05`, `history=0` earlier steps in
     the observation, `privileged=False`, the sizes of the weights above, such as `linear_weight=3`,
     `frame_skip=4` substeps of 5 ms, and those of `Task`: the medium, randomised sand and so on. The
