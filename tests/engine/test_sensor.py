@@ -146,6 +146,7 @@ def test_what_sleeps_keeps_its_readings() -> None:
         readings = [data.sensor(name).data.copy() for name in names]
         mujoco.mj_step(model, data)
     mujoco.mj_step(model, data, 200)
+    assert data.body_awake[1] == int(mujoco.mjtSleepState.mjS_ASLEEP)
     for name, reading in zip(names, readings, strict=True):
         assert data.sensor(name).data == pytest.approx(reading, abs=1e-6)
     assert data.sensor("force").data[2] == pytest.approx(0.2 * 9.81, rel=1e-6)
