@@ -622,7 +622,8 @@ class G1Velocity(Go1Velocity):
     ## Description
     A Unitree G1, 33 kg, walks on Quikrete medium sand at commanded velocities, by its legs; waist
     and arms are locked at angles of zero. Motors are those of mjlab, stiffness and damping those of
-    Unitree's own training (unitree_rl_gym). No policy comes with the package.
+    the first version of Unitree's own training (unitree_rl_gym; its later ones are softer: 100 at
+    hips, 150 N m/rad at knees). No policy comes with the package.
 
     The sand meets the soles, which also stand on a rigid floor:
 
@@ -701,7 +702,8 @@ class G1Velocity(Go1Velocity):
         hard = [geom for geom in foot.geoms if geom.contype or geom.conaffinity]
         if not hard:
             raise InputError(f"the body {foot.name} must have a geom that collides: its foot")
-        model = spec.compile()
+        with converted_errors():
+            model = spec.compile()
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
         for geom in (geom.id for geom in hard):
             axes, box = geom_axes(model, geom), model.geom_aabb[geom]
@@ -725,6 +727,7 @@ def _sole_name(foot: str) -> str:
 
 def _add_motor(spec: mujoco.MjSpec, joint: mujoco.MjsJoint, motor: Motor) -> None:
     joint.armature, joint.damping, joint.frictionloss = motor.inertia, [0, 0, 0], 0.0
+    joint.actfrclimited = 0  # by the motor's own range, which varies with its strength
     servo = spec.add_actuator(name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
     servo.set_to_position(kp=motor.stiffness, kv=motor.damping)
     servo.forcelimited, servo.forcerange = True, [-motor.torque, motor.torque]

@@ -153,6 +153,24 @@ def test_the_scripted_walk_lifts_one_leg_in_turn_with_level_soles():
     assert np.all(knee.min(axis=1) == 0.0)
 
 
+def test_only_the_motors_limit_torques(robots, tmp_path):
+    limits = 'range="-2.5307 2.8798"'
+    text = (robots / "unitree_g1" / "g1.xml").read_text()
+    assert limits in text
+    file = tmp_path / "g1.xml"  # as in MuJoCo Menagerie
+    file.write_text(text.replace(limits, f'{limits} actuatorfrcrange="-88 88"'))
+    assert not G1Velocity(robot_file=file).model.jnt_actfrclimited.any()
+
+
+def test_what_refers_to_a_locked_joint_is_an_error(robots, tmp_path):
+    text = (robots / "unitree_g1" / "g1.xml").read_text()
+    tendon = '<tendon><fixed><joint joint="waist_yaw_joint" coef="1"/></fixed></tendon></mujoco>'
+    file = tmp_path / "g1.xml"
+    file.write_text(text.replace("</mujoco>", tendon))
+    with pytest.raises(InputError, match="waist_yaw_joint"):
+        SandEnv(G1Velocity(robot_file=file))
+
+
 def test_legs_may_be_in_any_order(go1, tmp_path):
     tree = ElementTree.parse(go1)
     trunk = tree.find("worldbody/body")
