@@ -141,11 +141,11 @@ class Go1Velocity(Task):
     | `reward_torque` | square of the torques [N^2 m^2] | -2e-4 |
     | `reward_slip` | square of the speed along the surface of feet in the sand [m^2/s^2] | -0.1 |
 
-    The exponentials are flat near zero: weights of 9 and 1.5 of the errors themselves, as
-    `error_weight=9`, have commands followed more closely. Deviations from the stance count in units
-    of 0.3 rad, of calves 0.6 rad; a third of that if the command is to stand. Tilt and motion along
-    the surface are relative to the plane z = 0, which is the surface on level sand and on sampled
-    slopes, but not on dunes or a `Plane` with a slope.
+    The exponentials are flat near zero: with `error_weight=9` and `yaw_error_weight=1.5`, times
+    which the errors themselves are subtracted, commands are followed more closely. Deviations from
+    the stance count in units of 0.3 rad, of calves 0.6 rad; a third of that if the command is to
+    stand. Tilt and motion along the surface are relative to the plane z = 0, which is the surface
+    on level sand and on sampled slopes, but not on dunes or a `Plane` with a slope.
 
     ## Starting State
     In its stance on the surface, heading anywhere; joints are off by up to `reset_noise_scale` rad
