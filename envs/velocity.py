@@ -693,7 +693,7 @@ class G1Velocity(Go1Velocity):
     command_y: tuple[float, float] = (-0.3, 0.3)
     command_yaw: tuple[float, float] = (-0.8, 0.8)
 
-    @property
+    @cached_property
     def _low(self) -> float:
         return 0.4
 
