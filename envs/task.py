@@ -11,7 +11,7 @@ that NumPy computes differently for short and long arrays.
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, partial
 from numbers import Real
 from pathlib import Path
@@ -369,11 +369,11 @@ tasks: Registry[type[Task]] = Registry("environment")
 
 
 def get_task(task: str | Task, options: dict[str, Any]) -> Task:
-    """Return a task from its name and its options."""
+    """Return a task from its name and its options, with a model that no other simulation has."""
     if isinstance(task, Task):
         if options:
             raise InputError(f"a task has its options already: {', '.join(options)}")
-        return task
+        return replace(task)
     cls = tasks[task]
     known = [item.name for item in fields(cls)]
     for name in options:

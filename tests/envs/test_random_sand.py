@@ -307,3 +307,13 @@ def test_gymnasiums_own_can_have_it_drawn_too():
         one, other = env.step(np.ones(3, np.float32)), ours.step(np.ones(3, np.float32))
         assert np.array_equal(one[0], other[0])
         assert one[1] == other[1]
+
+
+def test_environments_of_one_task_have_models_of_their_own():
+    task = tasks["Hopper"](randomise={"slope": (-0.2, 0.2)})
+    one, other = SandEnv(task), SandEnv(task)
+    one.reset(seed=0)
+    before = one.model.opt.gravity.copy()
+    other.reset(seed=1)
+    assert np.array_equal(one.model.opt.gravity, before)
+    assert not np.array_equal(other.model.opt.gravity, before)
