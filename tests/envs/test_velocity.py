@@ -126,6 +126,7 @@ def test_a_robot_on_two_legs_meets_the_sand_with_its_soles():
     _, info = env.reset(seed=0)
     assert info["privileged"].shape == (13,)
     assert info["privileged"][3:5] == pytest.approx([0.0, 0.0], abs=2e-3)
+    terminated = False
     for _ in range(15):
         _, _, terminated, _, info = env.step(ZERO)
     assert not terminated
