@@ -623,7 +623,7 @@ class G1Velocity(Go1Velocity):
     A Unitree G1, 33 kg, walks on Quikrete medium sand at commanded velocities, by its legs; waist
     and arms are locked at angles of zero. Motors are those of mjlab, stiffness and damping those of
     the first version of Unitree's own training (unitree_rl_gym; its later ones are softer: 100 at
-    hips, 150 N m/rad at knees). No policy comes with the package.
+    hips, 150 N m/rad at knees).
 
     The sand meets the soles, which also stand on a rigid floor:
 

@@ -17,7 +17,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from mjgranular.envs.single import SandEnv
-from mjgranular.envs.velocity import Go1Velocity, Go2Velocity
+from mjgranular.envs.velocity import G1Velocity, Go1Velocity, Go2Velocity
 from mjgranular.learn import environments
 from mjgranular.learn.policies import Policy, load_policy
 
@@ -61,7 +61,15 @@ class WalkGo2(Walk, Go2Velocity):
     """The Go2 with the same commands."""
 
 
-FOLLOWING = {"mjgranular/Go1Velocity-v0": Walk, "mjgranular/Go2Velocity-v0": WalkGo2}
+class WalkG1(Walk, G1Velocity):
+    """The G1 with the same commands."""
+
+
+FOLLOWING = {
+    "mjgranular/Go1Velocity-v0": Walk,
+    "mjgranular/Go2Velocity-v0": WalkGo2,
+    "mjgranular/G1Velocity-v0": WalkG1,
+}
 SHOWN = {
     "ChainSwim": Shown("ChainSwim-v0/ppo-0"),
     "ChainCrawl": Shown("ChainCrawl-v0/ppo-0"),
@@ -70,6 +78,7 @@ SHOWN = {
     "Ant": Shown("Ant-v0/ppo-0"),
     "Go1": Shown("Go1Velocity-v0/ppo-0", seconds=9.0, begin=2.0, apart=3.0, count=3),
     "Go2": Shown("Go2Velocity-v0/ppo-0", seconds=9.0, begin=2.0, apart=3.0, count=3),
+    "G1": Shown("G1Velocity-v0/ppo-0", seconds=9.0, begin=2.0, apart=3.0, count=3),
 }
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mjgranular.envs.single import SandEnv
-from mjgranular.envs.velocity import Go1Velocity, Go2Velocity
+from mjgranular.envs.velocity import G1Velocity, Go1Velocity, Go2Velocity
 from mjgranular.learn import environments
 from mjgranular.learn.agents import Agent, make_baseline
 from mjgranular.learn.evaluate import FIRST_SEED
@@ -35,6 +35,10 @@ class Straight(Go1Velocity):
 
 class StraightGo2(Straight, Go2Velocity):
     """The same with the other robot."""
+
+
+class StraightG1(Straight, G1Velocity):
+    """The same on two legs."""
 
 
 STEPS = 100  # of 500: four seconds
@@ -75,7 +79,7 @@ def first_of(robot: str) -> str:
 def test_there_are_three_policies_for_each_of_five_robots_and_some_that_follow_commands():
     robots = sorted(name.partition("-v0/")[0] for name in SHIPPED)
     three = ["ChainSwim", "ChainCrawl", "Hexapod", "Hopper", "Ant"]
-    assert robots == sorted([*3 * three, "Go1Velocity", "Go1Velocity", "Go2Velocity"])
+    assert robots == sorted([*3 * three, *3 * ["Go1Velocity"], "Go2Velocity", "G1Velocity"])
 
 
 @pytest.mark.parametrize("robot", ["ChainSwim", "ChainCrawl", "Hexapod", "Hopper", "Ant"])
@@ -119,7 +123,8 @@ def test_the_hopper_hops_and_the_ant_runs():
 @pytest.mark.usefixtures("robots")
 @pytest.mark.parametrize("ground", [{}, {"rigid": np.inf}])
 @pytest.mark.parametrize(
-    "name", ["Go1Velocity-v0/ppo-0", "Go1Velocity-v0/ppo-1", "Go2Velocity-v0/ppo-0"]
+    "name",
+    [f"Go1Velocity-v0/ppo-{seed}" for seed in (0, 1, 6)] + ["Go2Velocity-v0/ppo-0"],
 )
 def test_a_robot_follows_commands_on_sand_and_on_a_floor(name, ground):
     policy = load_policy(name)
@@ -137,3 +142,17 @@ def test_a_robot_follows_commands_on_sand_and_on_a_floor(name, ground):
             assert not terminated
             found.append([*info["velocity"][:2], observation[5]])
         assert np.mean(found[50:], axis=0) == pytest.approx(command, abs=0.15)
+
+
+@pytest.mark.usefixtures("robots")
+def test_a_robot_on_two_legs_gets_ahead_without_a_fall():
+    policy = load_policy("G1Velocity-v0/ppo-0")
+    env = SandEnv(StraightG1(command_x=(0.5, 0.5), push_scale=0.0))
+    observation, _ = env.reset(seed=0)
+    ahead = []
+    for step in range(250):
+        (action,) = policy.act(observation[None], np.array([step]))
+        observation, _, terminated, _, info = env.step(action)
+        assert not terminated
+        ahead.append(info["velocity"][0])
+    assert 0.2 < np.mean(ahead[50:]) < 0.6
