@@ -70,6 +70,9 @@ def similar_names(given: object, known: Sequence[str]) -> list[str]:
     lower = {one.rpartition("/")[2].lower(): one for one in known}
     lower |= {one.lower(): one for one in known}
     close = difflib.get_close_matches(name, lower, n=6, cutoff=0.6)  # one name may occur twice
+    # A common namespace does not make names alike.
+    own = name.rpartition("/")[2]
+    close = [one for one in close if difflib.get_close_matches(own, [one.rpartition("/")[2]])]
     within = [one for one in lower if len(name) >= _PART and name in one]
     return list(dict.fromkeys(lower[one] for one in (close or within)))[:3]
 
