@@ -40,7 +40,7 @@ def deviations(reference, condition):
 @pytest.mark.slow
 def test_drawn_conditions(reference):
     grazing = 0
-    for condition in drawn(seed=2024, count=20):
+    for condition in drawn(seed=2024, count=10):
         time, depth, solved = deviations(reference, condition)
         assert depth < BAR, condition
         # A link that hangs in the sand at E (v_Ey = 0) and turns about it has v_Ty reach zero at a
@@ -51,7 +51,7 @@ def test_drawn_conditions(reference):
         else:
             assert time < 0.02, condition
             grazing += time >= BAR
-    assert grazing <= 2
+    assert grazing <= 1
 
 
 @pytest.mark.slow
