@@ -160,6 +160,7 @@ HEADER_DTYPE = np.dtype(
         ("xfrc", np.int64),  # address of xfrc_applied
         ("awake", np.int64),  # address of body_awake
         ("instances", np.int64),  # of all plugins in the model
+        ("later", np.int64),  # the next instance of sand in the model; 0 for none
         ("senses", np.int64),  # whether the model has sensors that may read forces on bodies
         ("updating", np.int64),  # whether those are being recomputed (`external`)
         ("size", np.int64),  # of the block [bytes]
@@ -224,6 +225,7 @@ def make_image(
     """Make the image of a block."""
     slots, geoms = (sand.elements[key].astype(np.int64) for key in ("slot", "geom"))
     texts = refusals(sand.scheme)
+    ours = np.flatnonzero(model.plugin == model.plugin[instance])
     shape = sand.surface.shape(model)
     first = int(model.plugin_stateadr[instance])
     state = data.plugin_state[first : first + sand.surface.state_size]
@@ -259,6 +261,7 @@ def make_image(
         "xfrc": data.xfrc_applied.ctypes.data,
         "awake": data.body_awake.ctypes.data,
         "instances": model.nplugin,
+        "later": next(iter(ours[ours > instance].tolist()), 0),
         "senses": senses_forces(model),
         "results": binding.bodies.ctypes.data,
         "results_size": places[binding.scene.ctypes.data] - places[binding.bodies.ctypes.data],

@@ -33,10 +33,13 @@ from mjgranular.engine.tuning import (
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.intrinsics import address_of, c_function, call_step, publish
 from mjgranular.kernel.memory import (
+    BESIDE,
     CDOF,
     DOF_PARENT,
     NBODY,
     NV,
+    OFF,
+    SAMPLING,
     SCENE,
     SUBTREE_COM,
     UPDATE,
@@ -138,7 +141,7 @@ def state_of(model, data, instance):
 
 @compiled
 def adjust(block, model, data, instance):
-    """Apply the state of a tunable instance; return whether forces are to be computed.
+    """Apply the state of a tunable instance; return False if it is unreasonable.
 
     One `mjData` may serve many simulations in turn, so each call compares the state with the one
     last applied, bit by bit.
@@ -159,10 +162,29 @@ def adjust(block, model, data, instance):
         rescale(header, state)
         if state[ACTIVE] == 0.0:
             clear_results(header)
+        table_at(header.table)[OFF] = state[ACTIVE] == 0.0
         for k in range(STATE_SIZE):
             applied[k] = bits[k]
         header.tuned = 1
-    return state[ACTIVE] != 0.0
+    return True
+
+
+@compiled
+def is_solved_later(header, data):
+    """Return True if a later sand is solved at the end of the step, and then this one with it."""
+    number = header.later
+    while number != 0:
+        block = find_block(data, number)
+        if block == 0:
+            return False
+        later = header_at(block)
+        if later.refused != 0 or later.program == 0:
+            return False
+        if later.whole != 0:
+            table_at(later.table)[BESIDE] = header.table
+            return True
+        number = later.later
+    return False
 
 
 @partial(compiled, inline=True)
@@ -294,7 +316,10 @@ def compute(model, data, instance, capability):
         update_sensors(model, data, instance, block)
         return
     header.updating = 0  # it is still set if a user's callback raised
+    table = table_at(header.table)
     if header.tuning_count != 0 and not adjust(block, model, data, instance):
+        table[OFF] = 1
+    if table[OFF] != 0 and header.whole == 0:
         return
     # A batch may run this mjData on another model, or move arrays of the same.
     link_model(block, model, header)
@@ -305,11 +330,17 @@ def compute(model, data, instance, capability):
     options = options_of(model)
     if options.integrator != _RK4 or header.whole != 0:
         lead = header.lead * options.timestep
+    if header.whole != 0 and is_solved_later(header, data):
+        call_step(table[SAMPLING], header.table, lead)
+        return
     status = call_step(header.program, header.table, lead)
     if status <= BAD_TIMESTEP:
         _fail(header.refusals + REFUSAL_SIZE * (BAD_TIMESTEP - status))
         return
-    add_wrenches(table_at(header.table), header.qfrc, header.awake)
+    address = header.table
+    while address != 0:
+        add_wrenches(table_at(address), header.qfrc, header.awake)
+        address = table_at(address)[BESIDE]
 
 
 @compiled

@@ -189,6 +189,7 @@ _CALLS: Any = (
     lambda a, b, c: kernel(a, b, c),
     lambda a, b, c, d: kernel(a, b, c, d),
     lambda a, b, c, d, e: kernel(a, b, c, d, e),
+    lambda a, b, c, d, e, f: kernel(a, b, c, d, e, f),
 )
 
 

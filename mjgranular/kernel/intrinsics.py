@@ -63,11 +63,18 @@ def call_step(typingctx: Any, function: Any, table: Any, lead: Any) -> Any:
 
 @intrinsic
 def call_forces(
-    typingctx: Any, function: Any, table: Any, task: Any, eps: Any, update: Any, loose: Any
+    typingctx: Any,
+    function: Any,
+    table: Any,
+    work: Any,
+    task: Any,
+    eps: Any,
+    update: Any,
+    loose: Any,
 ) -> Any:
     """Call a program with the signature `scheme.scheme.FORCES` at an address."""
     long, double = types.int64, types.float64
-    return double(long, long, long, double, long, double), _call_at
+    return double(long, long, long, long, double, long, double), _call_at
 
 
 def _call_at(context: Any, builder: Any, signature: Any, args: Any) -> Any:

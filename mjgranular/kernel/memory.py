@@ -26,12 +26,14 @@ from mjgranular.kernel.structs import fields_of, offset_of
 # STATE to UPDATE belong to a surface with memory: the address of its state, the number of values in
 # it, and the address of the program that updates it after a step; 0 without memory. SAMPLING and
 # LAW are the addresses of the programs of `Scheme.sampling` and `Scheme.forces`; 0 for none.
-# SURFACE is where the surface begins in a scene, after the law [bytes].
+# SURFACE is where the surface begins in a scene, after the law [bytes]. BESIDE is the table of the
+# sand that acted before this one in the same step, and is solved together with it; 0 for none. OFF is
+# 1 for a sand that is switched off.
 NBODY, NV, ELEMENT_COUNT, BODY_COUNT, INTEGRATORS, LONGEST_STEP = range(6)
 OPTIONS, DOF_PARENT, XPOS, XMAT, XIPOS, SUBTREE_COM, CVEL, CDOF, WARMSTART, XFRC = range(6, 16)
 WARNINGS, ELEMENTS, BODIES, SCENE, CONTACTS, SNAPSHOT, WORKSPACE = range(16, 23)
-STATE, STATE_SIZE, UPDATE, SAMPLING, LAW, SURFACE = range(23, 29)
-TABLE_SIZE = 29
+STATE, STATE_SIZE, UPDATE, SAMPLING, LAW, SURFACE, BESIDE, OFF = range(23, 31)
+TABLE_SIZE = 31
 
 _WORD = ir.IntType(64)
 

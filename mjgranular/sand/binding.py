@@ -6,12 +6,14 @@ A registry has the sands of each simulation: one per body, unless all of them ar
 import weakref
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
 
 from mjgranular.errors import InputError
 from mjgranular.kernel.compiled import entry
+from mjgranular.kernel.memory import BESIDE
 from mjgranular.kernel.options import options_address
 from mjgranular.kernel.records import BODY_DTYPE, CONTACT_DTYPE
 from mjgranular.sand.guard import Snapshot, withdraw
@@ -37,6 +39,7 @@ class Binding:
     workspace: Workspace
     scene: np.ndarray
     state: np.ndarray  # state of the surface (`relief.grid`); empty without memory
+    joins: bool  # whether it is solved together with others
 
 
 def bind(
@@ -100,11 +103,14 @@ def bind(
         [
             *(*numbers, nanoseconds(scheme.step_limit), options_address(model)),
             *(array.ctypes.data for array in arrays),
-            *(*memory, sand.sampling, sand.forces, surface),
+            *(*memory, sand.sampling, sand.forces, surface, 0, 0),
         ],
         np.int64,
     )
-    return Binding(table, table.ctypes.data, bodies, contacts, snapshot, workspace, scene, state)
+    return Binding(
+        table, table.ctypes.data, bodies, contacts, snapshot, workspace, scene, state,
+        scheme.whole_state,
+    )  # fmt: skip
 
 
 _sands_of_model: list[Callable[[mujoco.MjModel], Iterable[tuple[str, set[int]]]]] = []
@@ -133,11 +139,16 @@ class SandRegistry:
 
     def __init__(self) -> None:
         # The bodies of each Sand, and whether it is shared.
-        self._members: weakref.WeakKeyDictionary[object, tuple[set[int], bool]]
+        self._members: weakref.WeakKeyDictionary[Any, tuple[set[int], bool]]
         self._members = weakref.WeakKeyDictionary()
-        self._shares: list[Binding] = []  # of shared Sands, in the order they were added
+        self._shares: list[Binding] = []  # in the order they were added
 
-    def add(self, sand: object, model: mujoco.MjModel, binding: Binding, *, shared: bool) -> None:
+    @property
+    def is_crowded(self) -> bool:
+        """Whether more than one Sand acts."""
+        return len(self._members) > 1
+
+    def add(self, sand: Any, model: mujoco.MjModel, binding: Binding, *, shared: bool) -> None:
         """Register a Sand; raise if another acts on one of its bodies, and not both are shared."""
         bodies = set(binding.bodies["body"].tolist())
         for others, is_shared in list(self._members.values()):
@@ -148,35 +159,43 @@ class SandRegistry:
                     "make an MjData for each, make both with shared=True if both are to act (two "
                     "beds, say), or have the other one release(data) first"
                 )
+        for other in self._members:
+            other.look_again()
         self._members[sand] = bodies, shared
 
-    def remove(self, sand: object, binding: Binding) -> None:
+    def remove(self, sand: Any, binding: Binding) -> None:
         """Remove a Sand, and its share too."""
-        _, is_shared = self._members.pop(sand)
-        if is_shared:
+        self._members.pop(sand)
+        if self._shares:
             self._withdraw_all()
         else:
             _withdraw(binding)
 
-    def begin(self, binding: Binding) -> None:
-        """Prepare for the share of a shared Sand.
+    def begin(self, binding: Binding, time: float) -> None:
+        """Prepare for the share of a Sand at a time [s].
 
         The first that comes for a second time begins a new step: the shares of the last step are
-        removed.
+        removed. Those of the same time are solved together.
         """
         if any(share is binding for share in self._shares):
             self._withdraw_all()
+        together = [one for one in self._shares if one.joins and one.snapshot.time == time]
+        binding.table[BESIDE] = together[-1].address if together and binding.joins else 0
         self._shares.append(binding)
 
-    def down_to(self, binding: Binding) -> list[Binding]:
-        """Return the shares that have come since a Sand's own, the latest first, and its own.
+    def before(self, binding: Binding) -> list[Binding]:
+        """Return the shares that a Sand's own does not act in addition to, the latest first.
 
-        A Sand acts in addition to those that came before it.
+        These are its own, those that have come since, and those that are solved with it.
         """
         for number, share in enumerate(self._shares):
-            if share is binding:
+            if share is binding or (share.joins and binding.joins):
                 return self._shares[number:][::-1]
         return [binding]
+
+    def others(self, sand: Any) -> list[Any]:
+        """Return the other Sands."""
+        return [other for other in self._members if other is not sand]
 
     def _withdraw_all(self) -> None:
         """Take all shares back, the latest first: each finds the row as it left it."""

@@ -13,7 +13,7 @@ import numpy as np
 from mjgranular._util.checks import check_data, check_model, check_switch
 from mjgranular.errors import InputError, UnstableError
 from mjgranular.kernel.compiled import entry
-from mjgranular.kernel.memory import UPDATE
+from mjgranular.kernel.memory import BESIDE, UPDATE
 from mjgranular.kernel.options import NO_GRAVITY
 from mjgranular.law import Law
 from mjgranular.medium import Medium
@@ -58,7 +58,8 @@ class Sand:
 
     Two `Sand`s, of two beds with two media for example, act in one simulation by `apply`, each once
     between `mj_step1` and `mj_step2`: a `step` of each would be two steps of time. By default they
-    must act on different bodies; to act on the same, both need `shared=True`.
+    must act on different bodies; to act on the same, both need `shared=True`. Under the implicit
+    scheme they are solved together.
 
         first = Sand(model, surface=Bed("dry"), medium="glass_beads", shared=True)
         second = Sand(model, surface=Bed("wet"), medium="play_sand", shared=True)
@@ -188,7 +189,7 @@ class Sand:
         """
         recent, address = self._recent
         if recent() is not data:
-            address = self._bind(data)
+            address = self._begin(data)
         model = self._model
         self._last_timestep = timestep = self._options.timestep
         _step1(model, data)
@@ -214,7 +215,7 @@ class Sand:
         """
         recent, address = self._recent
         if recent() is not data:
-            address = self._bind(data)
+            address = self._begin(data)
         self._last_timestep = timestep = self._options.timestep
         failed = self._guarded(self._program, address, self._lead * timestep)
         if failed != FINE:
@@ -297,8 +298,7 @@ class Sand:
     def _state_of(self, data: mujoco.MjData) -> np.ndarray:
         """Return the state of the memory in a simulation, not a copy."""
         self._remembering()
-        self._bind(data)
-        return self._bindings[data].state
+        return self._bind(data).state
 
     def report(self, data: mujoco.MjData) -> Report:
         """Report the sand's action at the state in `data` (`qpos`, `qvel`), which is not changed.
@@ -340,6 +340,8 @@ class Sand:
         bound = self._bindings.get(data)
         binding.state[:] = 0.0 if bound is None else bound.state
         counts = None if bound is None else bound.workspace.statistics
+        beside = self._act_beside(data, probe, lead)
+        binding.table[BESIDE] = beside[-1].address if beside else 0
         failed = self._guarded(self._program, binding.address, lead)
         if failed != FINE:
             raise self._failure(data, failed, binding)
@@ -395,15 +397,32 @@ class Sand:
         """Return `xfrc_applied` without what `apply` has left in it."""
         applied = data.xfrc_applied.copy()
         binding = self._bindings.get(data)
-        for share in () if binding is None else registry_of(data).down_to(binding):
+        for share in () if binding is None else registry_of(data).before(binding):
             for row in share.bodies:
                 if (applied[row["body"]] == row["last_wrench"]).all():
                     applied[row["body"]] = row["user_wrench"]
         return applied
 
+    def _act_beside(self, data: mujoco.MjData, probe: mujoco.MjData, lead: float) -> list[Binding]:
+        """Have those that are solved with this sand act in a copy; return their bindings there."""
+        bound, acted = self._bindings.get(data), []
+        if bound is None or not bound.joins:
+            return acted
+        shares = registry_of(data).before(bound)
+        for other in registry_of(data).others(self):
+            theirs = other._bindings.get(data)
+            if theirs is not None and theirs.joins and any(share is theirs for share in shares):
+                binding = bind(self._model, probe, other._sand)
+                binding.table[UPDATE] = 0
+                binding.state[:] = theirs.state
+                binding.table[BESIDE] = acted[-1].address if acted else 0
+                other._guarded(other._program, binding.address, lead)
+                acted.append(binding)
+        return acted
+
     def table_of(self, data: mujoco.MjData) -> int:
         """Return the address of a simulation's table (`kernel.memory`), valid as long as `data`."""
-        return self._bind(data)
+        return self._bind(data).address
 
     def _check_owner(self, data: mujoco.MjData) -> None:
         check_data(data, "Sand")
@@ -414,7 +433,19 @@ class Sand:
                 "it with mj_copyData; copy.copy(data) does both"
             )
 
-    def _bind(self, data: mujoco.MjData) -> int:
+    def look_again(self) -> None:
+        """Look at a simulation again, even the last: another sand has come to act there."""
+        self._recent = _NOBODY
+
+    def _begin(self, data: mujoco.MjData) -> int:
+        """Prepare for a step; return the address of the table."""
+        binding, registry = self._bind(data), registry_of(data)
+        registry.begin(binding, data.time)
+        if not registry.is_crowded:  # else at every call, to update the shares of the others
+            self._recent = (weakref.ref(data), binding.address)
+        return binding.address
+
+    def _bind(self, data: mujoco.MjData) -> Binding:
         check_data(data, "Sand")
         binding = self._bindings.get(data)
         if binding is None:
@@ -423,11 +454,7 @@ class Sand:
             binding = bind(self._model, data, self._sand)
             registry_of(data).add(self, self._model, binding, shared=self._shared)
             self._bindings[data] = binding
-        if self._shared:  # at every call, to update the shares of the others
-            registry_of(data).begin(binding)
-        else:
-            self._recent = (weakref.ref(data), binding.address)
-        return binding.address
+        return binding
 
     def _failure(
         self, data: mujoco.MjData, failed: int, binding: Binding | None = None, *, own: bool = True

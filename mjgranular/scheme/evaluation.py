@@ -11,7 +11,7 @@ import numpy as np
 
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.intrinsics import call_forces
-from mjgranular.kernel.memory import LAW, SCENE, WORKSPACE, records, table_at
+from mjgranular.kernel.memory import BESIDE, LAW, OFF, SCENE, WORKSPACE, records, table_at
 from mjgranular.kernel.motion import read_motion
 from mjgranular.law.kernel import LawKernel
 from mjgranular.scheme.added import momentum_kernel, turn_kernel
@@ -33,7 +33,7 @@ from mjgranular.scheme.workspace import workspace_at
 from mjgranular.scheme.wrenches import gravity_of
 
 # Not literals: numba would compile a function for each of them.
-RESPOND, DAMP, FOLLOW = (np.int64(n) for n in range(3))
+RESPOND, DAMP, FOLLOW, SUM = (np.int64(n) for n in range(4))
 """Tasks of a law's program (`forces_program`)."""
 
 
@@ -65,6 +65,9 @@ def sampling_program(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
     def find(address, lead):
         table = table_at(address)
         w = workspace_at(table[WORKSPACE])
+        w.h, w.count = lead, 0
+        if table[OFF] != 0:
+            return 0
         w.count = sample_all(table, w, w.tiles.ctypes.data, 8 * size, 0.0)
         charge_turns(w)
         return w.count
@@ -74,31 +77,37 @@ def sampling_program(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
 
 @cache
 def forces_program(kernel: LawKernel, law_dtype: np.dtype) -> Any:
-    """Make the kernel `forces(address, task, eps, update, loose)`: a law's loops over all tiles.
+    """Make the kernel `forces(address, work, task, eps, update, loose)`: a law's loops over tiles.
 
-    The arguments are the address of the table, one of the tasks above, and those of `evaluate`. It
-    returns the greatest mismatch, for `FOLLOW` the greatest turn (`law.kernel`).
+    The arguments are the address of the sand's table, that of the workspace that has the motions of
+    the bodies and sums up forces, one of the tasks above, and those of `evaluate`. `SUM` adds the
+    forces in the tiles. It returns the greatest mismatch, for `FOLLOW` the greatest turn
+    (`law.kernel`).
     """
     move, respond, damp = move_kernel(kernel), respond_kernel(kernel), damp_kernel(kernel)
     add, follow = add_kernel(kernel.lanes), follow_kernel(kernel)
     laws = records(law_dtype)  # the law is the first field of a scene
 
     @compiled
-    def forces(address, task, eps, update, loose):
+    def forces(address, work, task, eps, update, loose):
         table = table_at(address)
-        w = workspace_at(table[WORKSPACE])
+        own, w = workspace_at(table[WORKSPACE]), workspace_at(work)
         most = 0.0
         if task == FOLLOW:
-            for i in range(w.count):
-                body, stores = w.heads[i].body, update != LAST
+            for i in range(own.count):
+                body, stores = own.heads[i].body, update != LAST
                 turn = follow(
-                    w.tiles[i], read_motion(w.motion[body], 0), w.wrench[body], eps, stores
+                    own.tiles[i], read_motion(w.motion[body], 0), w.wrench[body], eps, stores
                 )
                 most = max(most, turn)
+        elif task == SUM:
+            for i in range(own.count):
+                body = own.heads[i].body
+                add(own.tiles[i], w.wrench[body], w.stiffness[body])
         else:
             law, g = laws(table[SCENE], 1)[0], gravity_of(table)
-            for i in range(w.count):
-                tile, body = w.tiles[i], w.heads[i].body
+            for i in range(own.count):
+                tile, body = own.tiles[i], own.heads[i].body
                 move(tile, read_motion(w.motion[body], 0), update, eps, loose)
                 if task == DAMP:
                     damp(tile, law, g, eps)
@@ -108,6 +117,18 @@ def forces_program(kernel: LawKernel, law_dtype: np.dtype) -> Any:
         return most
 
     return forces
+
+
+@compiled
+def call_laws(table, task, eps, update, loose):
+    """Have the laws of all sands that act together do a task; return the greatest result."""
+    most, address = 0.0, table.ctypes.data
+    while address != 0:
+        sand = table_at(address)
+        result = call_forces(sand[LAW], address, table[WORKSPACE], task, eps, update, loose)
+        most = max(most, result)
+        address = sand[BESIDE]
+    return most
 
 
 @compiled
@@ -123,7 +144,7 @@ def evaluate(table, w, task, eps, update, loose):
     for b in range(w.nbody):
         clear(w.wrench[b])
         clear(w.stiffness[b])
-    mismatch = call_forces(table[LAW], table.ctypes.data, task, eps, update, loose)
+    mismatch = call_laws(table, task, eps, update, loose)
     sum_wrenches(w)
     error, of_losses = balance(w, update)
     add_stiffness(w)
@@ -140,11 +161,11 @@ def evaluate_last(table, w, eps):
     for b in range(w.nbody):
         clear(w.wrench[b])
         clear(w.stiffness[b])
-    mismatch = call_forces(table[LAW], table.ctypes.data, RESPOND, eps, FRESH, eps)
+    mismatch = call_laws(table, RESPOND, eps, FRESH, eps)
     find_motions(w, w.velocity)
     for b in range(w.nbody):
         clear(w.wrench[b])
-    turn = call_forces(table[LAW], table.ctypes.data, FOLLOW, eps, LAST, 0.0)
+    turn = call_laws(table, FOLLOW, eps, LAST, 0.0)
     sum_wrenches(w)
     error, of_losses = balance(w, FRESH)
     add_stiffness(w)
@@ -161,6 +182,6 @@ def follow_all(table, w, eps):
     find_motions(w, w.velocity)
     for b in range(w.nbody):
         clear(w.wrench[b])
-    turn = call_forces(table[LAW], table.ctypes.data, FOLLOW, eps, NEXT, 0.0)
+    turn = call_laws(table, FOLLOW, eps, NEXT, 0.0)
     sum_wrenches(w)
     return balance(w, NEXT)[0], turn

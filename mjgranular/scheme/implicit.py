@@ -7,7 +7,9 @@ end, f the sand's forces on its elements and J their Jacobian, one step of MuJoC
     A (v' - v) = h (q + q_c(v') + J^T f(v'))
 
 where A is the inertia (with the integrator's own implicit damping), q all smooth forces and q_c
-those of MuJoCo's constraints, which are coupled to the sand's. In reading order:
+those of MuJoCo's constraints, which are coupled to the sand's. Sands that act in the same step are
+solved together: the last of them, with its own workspace, sums up the forces of all (`BESIDE`). In
+reading order:
 
     workspace      all arrays by name, MuJoCo's and the scheme's
     metric         A with MuJoCo's integrator `discrete`, which computes it itself
@@ -45,8 +47,8 @@ from mjgranular.kernel.engine import (
     solve_inertia,
     tendon_bias_forces,
 )
-from mjgranular.kernel.intrinsics import call_step
-from mjgranular.kernel.memory import SAMPLING, WORKSPACE, table_at
+from mjgranular.kernel.intrinsics import call_forces, call_step
+from mjgranular.kernel.memory import BESIDE, LAW, SAMPLING, WORKSPACE, table_at
 from mjgranular.kernel.options import options_at
 from mjgranular.kernel.records import bodies_of, contacts_of
 from mjgranular.kernel.vector import cross, dot, norm, read_vector, write_vector
@@ -54,7 +56,8 @@ from mjgranular.law.kernel import LawKernel
 from mjgranular.scheme.balance import prepare_inertia
 from mjgranular.scheme.constraints import prepare_constraints
 from mjgranular.scheme.dense import add_scaled, clear, copy, inner
-from mjgranular.scheme.evaluation import forces_program, sampling_program
+from mjgranular.scheme.evaluation import SUM, forces_program, sampling_program
+from mjgranular.scheme.forces import SAME
 from mjgranular.scheme.layout import FORCE, INDEX, VELOCITY
 from mjgranular.scheme.metric import is_unsupported, make_metric
 from mjgranular.scheme.passivity import passive_share
@@ -68,7 +71,7 @@ from mjgranular.scheme.workspace import (
     read_options,
     workspace_at,
 )
-from mjgranular.scheme.wrenches import add_wrenches, is_bad, withdraw_wrenches
+from mjgranular.scheme.wrenches import add_wrenches, find_bad_wrench, is_bad, withdraw_wrenches
 
 _UNFINISHED = 1e-6  # relative residual of the momentum above which a step counts as unfinished
 _NOTHING = 1e-150  # smallest momentum to divide by
@@ -143,32 +146,52 @@ def implicit_program(address, lead):
         return BAD_METRIC
     w = workspace_at(table[WORKSPACE])
     read_options(table, w)
-    bodies = bodies_of(table)
-    withdraw_wrenches(table)
-    for slot in range(len(bodies)):
-        clear(bodies[slot].wrench)
-    w.h = lead
-    call_step(table[SAMPLING], address, w.h)  # fills the tiles
-    if w.count > 0:
+    withdraw_all(table)
+    call_step(table[SAMPLING], address, lead)  # fills the tiles
+    mark_immersed(table, w)
+    if w.immersed[0] != 0:
         open_constraints(table[WORKSPACE], w)
         find_smooth_forces(w)
         prepare_inertia(w)
         prepare_constraints(w)
-        mark_immersed(w)
         begin(w)
         done, error = find_velocity(table, w)
         warm_start(w)
         share = passive_share(w, error)
-        write_body_wrenches(w, bodies, share)
-        write_contacts(table, w, share)
-        statistics = w.statistics[0]
-        statistics.steps += 1
-        statistics.evaluations += done
-        statistics.most = max(statistics.most, done)
-        statistics.unfinished += not error <= _UNFINISHED
-        statistics.residual = error
-        statistics.worst = max(statistics.worst, error)
-    return add_wrenches(table)
+        write_results(table, w, share, done, error)
+    return add_all(table)
+
+
+@compiled
+def withdraw_all(table):
+    """Remove the wrenches of all sands that act together, the latest first, and clear them."""
+    address = table.ctypes.data
+    while address != 0:
+        sand = table_at(address)
+        withdraw_wrenches(sand)
+        bodies = bodies_of(sand)
+        for slot in range(len(bodies)):
+            clear(bodies[slot].wrench)
+        address = sand[BESIDE]
+
+
+@compiled
+def add_all(table):
+    """Add the wrenches of all sands that act together, the earliest first; see `add_wrenches`."""
+    count, address = 0, table.ctypes.data
+    while address != 0:
+        sand = table_at(address)
+        bad = find_bad_wrench(sand)
+        if bad >= 0:
+            return bad if count == 0 else 0
+        count += 1
+        address = sand[BESIDE]
+    for number in range(count - 1, -1, -1):
+        sand = table_at(table.ctypes.data)
+        for _ in range(number):
+            sand = table_at(sand[BESIDE])
+        add_wrenches(sand)
+    return FINE
 
 
 @compiled
@@ -188,16 +211,21 @@ def find_smooth_forces(w):
 
 
 @compiled
-def mark_immersed(w):
-    """Flag the bodies with an element in the sand, and their ancestors."""
+def mark_immersed(table, w):
+    """Flag the bodies with an element in a sand, and their ancestors: the world too, if any is."""
     immersed = w.immersed
     for body in range(w.nbody):
         immersed[body] = 0
-    for i in range(w.count):
-        body = w.heads[i].body
-        while body > 0 and immersed[body] == 0:
-            immersed[body] = 1
-            body = w.body_parentid[body]
+    address = table.ctypes.data
+    while address != 0:
+        sand = table_at(address)
+        own = workspace_at(sand[WORKSPACE])
+        for i in range(own.count):
+            body = own.heads[i].body
+            while immersed[body] == 0:
+                immersed[body] = 1
+                body = w.body_parentid[body]
+        address = sand[BESIDE]
 
 
 @partial(compiled, inline=True)
@@ -248,6 +276,35 @@ def warm_start(w):
             damped[i] = inner(w.damping[i], rate)
         solve_inertia(w.model, w.data, answer.ctypes.data, damped.ctypes.data, 1)
         add_scaled(w.qacc_warmstart, 1.0, answer)
+
+
+@compiled
+def write_results(table, w, share, done, error):
+    """Write what a step found to the records of all sands that act together."""
+    address = table.ctypes.data
+    while address != 0:
+        sand = table_at(address)
+        own = workspace_at(sand[WORKSPACE])
+        if table[BESIDE] != 0:  # else `w.wrench` has the forces of this sand alone
+            for b in range(w.nbody):
+                clear(w.wrench[b])
+            call_forces(sand[LAW], address, table[WORKSPACE], SUM, 0.0, SAME, 0.0)
+        if own.count > 0:
+            write_body_wrenches(w, bodies_of(sand), share)
+            write_contacts(sand, own, share)
+            count_step(own.statistics[0], done, error)
+        address = sand[BESIDE]
+
+
+@compiled
+def count_step(statistics, done, error):
+    """Count a step, its evaluations and its relative residual."""
+    statistics.steps += 1
+    statistics.evaluations += done
+    statistics.most = max(statistics.most, done)
+    statistics.unfinished += not error <= _UNFINISHED
+    statistics.residual = error
+    statistics.worst = max(statistics.worst, error)
 
 
 @compiled

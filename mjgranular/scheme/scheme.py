@@ -20,7 +20,7 @@ schemes: Registry[type["SchemeChoice"]] = Registry("scheme")
 
 STEP = "int64(int64, float64)"  # signature of the program of a scheme
 
-FORCES = "float64(int64, int64, float64, int64, float64)"
+FORCES = "float64(int64, int64, int64, float64, int64, float64)"
 """Signature of the program of a law (`Scheme.forces`)."""
 
 _SPELLED = {"EULER": "Euler"}

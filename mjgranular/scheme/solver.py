@@ -19,6 +19,7 @@ import math
 import numpy as np
 
 from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.memory import BESIDE, WORKSPACE, table_at
 from mjgranular.kernel.vector import cross, norm, read_vector, vector
 from mjgranular.scheme.balance import find_last_motions, find_motions
 from mjgranular.scheme.damping import damp
@@ -26,6 +27,7 @@ from mjgranular.scheme.dense import copy
 from mjgranular.scheme.forces import FRESH, LAST, SAME
 from mjgranular.scheme.layout import ARM
 from mjgranular.scheme.newton import Search, newton
+from mjgranular.scheme.workspace import workspace_at
 
 # The softness of rest [m/s]: a body held for a year moves 0.03 mm at 0.7 of its limit. Added to it
 # is a share of the speeds that cancel in an element's own, the largest of all elements, since their
@@ -56,12 +58,12 @@ _STEPS_DAMPED = np.int64(8)
 def find_velocity(table, w):
     """Solve for `w.velocity` at the end of the step; return evaluations and relative residual."""
     velocity = w.velocity
-    fine = softness(w, velocity)
-    coarse = speed_without_sand(w)
+    fine = softness(table, w, velocity)
+    coarse = speed_without_sand(table, w)
     goal = goal_of(fine) * w.scale
     done = 0
     find_last_motions(w)
-    if fastest(w) < _SLOW * coarse:
+    if fastest(table, w) < _SLOW * coarse:
         # The same elements hold as in the last step.
         copy(velocity, w.start)
         done, error = newton(table, w, Search(LAST, fine, fine, goal, _STEPS_NEAR, _TURNED))
@@ -81,7 +83,7 @@ def find_velocity(table, w):
     if goal < error <= _LOST * w.scale:
         # Bodies that start to move in this step have more rounding than their velocity before
         # shows.
-        moved = softness(w, velocity)
+        moved = softness(table, w, velocity)
         if moved > _BEGUN * fine:
             fine = moved
             goal = goal_of(fine) * w.scale
@@ -113,21 +115,35 @@ def goal_of(eps):
 
 
 @compiled
-def softness(w, velocity):
+def softness(table, w, velocity):
     """Return the final softness at a joint velocity [m/s].
 
     It grows with the joint velocities that cancel in that of a body, and so with the rounding of
-    its rest. Slide joints count by a bound of their sum, sqrt(n) times their norm, which does not
-    depend on the world's axes.
+    its rest.
+    """
+    largest, address = 0.0, table.ctypes.data
+    while address != 0:
+        sand = table_at(address)
+        largest = max(largest, cancelled(w, workspace_at(sand[WORKSPACE]), velocity))
+        address = sand[BESIDE]
+    return _SOFT + _SOFT_SHARE * largest
+
+
+@compiled
+def cancelled(w, own, velocity):
+    """Return the largest sum of speeds that may cancel in that of an element of one sand [m/s].
+
+    Slide joints count by a bound of their sum, sqrt(n) times their norm, which does not depend on
+    the world's axes.
     """
     largest = 0.0
     last = -1
-    for i in range(w.count):
-        body = w.heads[i].body
+    for i in range(own.count):
+        body = own.heads[i].body
         if body == last:
             continue
         last = body
-        arm = size(lane_vector(w, w.tiles[i], ARM, 0))
+        arm = size(lane_vector(own, own.tiles[i], ARM, 0))
         while body > 0 and w.body_dofnum[body] == 0:
             body = w.body_parentid[body]
         j = w.body_dofadr[body] + w.body_dofnum[body] - 1 if body > 0 else -1
@@ -141,28 +157,32 @@ def softness(w, velocity):
                 total += abs(velocity[j]) * (arm * size(turning) + size(moving))
             j = w.dof_parentid[j]
         largest = max(largest, total + math.sqrt(slides * square))
-    return _SOFT + _SOFT_SHARE * largest
+    return largest
 
 
 @compiled
-def speed_without_sand(w):
+def speed_without_sand(table, w):
     """Return the greatest speed of an element initially at rest after a step without sand [m/s]."""
     for j in range(w.nv):
         w.trial[j] = w.h * w.qacc_smooth[j]
     find_motions(w, w.trial)
-    return fastest(w)
+    return fastest(table, w)
 
 
 @compiled
-def fastest(w):
+def fastest(table, w):
     """Return the greatest speed of an element at the motions of the bodies [m/s]."""
-    most = 0.0
-    for i in range(w.count):
-        motion = w.motion[w.heads[i].body]
-        turning, moving = read_vector(motion, 0), read_vector(motion, 3)
-        for lane in range(w.lanes):
-            arm = lane_vector(w, w.tiles[i], ARM, lane)
-            most = max(most, norm(moving + cross(turning, arm)))
+    most, address = 0.0, table.ctypes.data
+    while address != 0:
+        sand = table_at(address)
+        own = workspace_at(sand[WORKSPACE])
+        for i in range(own.count):
+            motion = w.motion[own.heads[i].body]
+            turning, moving = read_vector(motion, 0), read_vector(motion, 3)
+            for lane in range(own.lanes):
+                arm = lane_vector(own, own.tiles[i], ARM, lane)
+                most = max(most, norm(moving + cross(turning, arm)))
+        address = sand[BESIDE]
     return most
 
 

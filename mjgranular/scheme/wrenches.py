@@ -63,6 +63,22 @@ def row_of_body(table, body):
 
 
 @compiled
+def find_bad_wrench(table):
+    """Return the row in `bodies` of the first wrench that is not finite, or -1.
+
+    Inside MuJoCo's step the table has no `xfrc_applied`, and MuJoCo finds it.
+    """
+    bodies = bodies_of(table)
+    for slot in range(len(bodies) if table[memory.XFRC] != 0 else 0):
+        total = 0.0
+        for k in range(6):
+            total += bodies[slot].wrench[k]
+        if not math.isfinite(total):
+            return slot
+    return -1
+
+
+@compiled
 def add_wrenches(table):
     """Add the bodies' wrenches to `xfrc_applied`, and remove those of the last call.
 
@@ -71,15 +87,10 @@ def add_wrenches(table):
     the user's. Return -1, or the row in `bodies` of the first wrench that is not finite; then
     nothing is written. Inside MuJoCo's step the table has no `xfrc_applied`, and nothing is done.
     """
-    if table[memory.XFRC] == 0:
-        return -1
+    bad = find_bad_wrench(table)
+    if bad >= 0 or table[memory.XFRC] == 0:
+        return bad
     bodies = bodies_of(table)
-    for slot in range(len(bodies)):
-        total = 0.0
-        for k in range(6):
-            total += bodies[slot].wrench[k]
-        if not math.isfinite(total):
-            return slot
     for slot in range(len(bodies)):
         body = bodies[slot]
         row, untouched = row_of_body(table, body)
