@@ -123,16 +123,14 @@ def beds():
     return spec.compile()
 
 
+@pytest.mark.parametrize("scheme", ["explicit", "implicit"])
 @pytest.mark.parametrize("order", [(0, 1), (1, 0)])
-def test_two_beds_side_by_side_are_one(order):
+def test_two_beds_side_by_side_are_one(order, scheme):
     """Of the same medium, and cut into pieces none of which is in both."""
     model = beds()
-    options = {"law": "rft3d", "medium": "quikrete_medium"}
-    one = Sand(model, surface=Bed("both"), **options, scheme="explicit")
-    parts = [
-        Sand(model, surface=Bed(name), shared=True, **options, scheme="explicit")
-        for name in ("left", "right")
-    ]
+    options = {"law": "rft3d", "medium": "quikrete_medium", "scheme": scheme}
+    one = Sand(model, surface=Bed("both"), **options)
+    parts = [Sand(model, surface=Bed(name), shared=True, **options) for name in ("left", "right")]
     whole, halves = mujoco.MjData(model), mujoco.MjData(model)
     own = np.array([0.3, 0.1, 0.2, 0.01, 0.02, 0.03])
     for data in (whole, halves):
@@ -155,7 +153,7 @@ def test_two_beds_side_by_side_are_one(order):
 
 @pytest.mark.parametrize("order", [(0, 1), (1, 0)])
 def test_reports_of_shared_sands_are_their_parts_of_the_force(order):
-    """The implicit scheme balances all forces: each sand acts in addition to those before it."""
+    """The implicit scheme balances all forces, those of all sands together."""
     model = beds()
     parts = [Sand(model, surface=Bed(name), law="rft3d", shared=True) for name in ("left", "right")]
     data = mujoco.MjData(model)
@@ -171,7 +169,35 @@ def test_reports_of_shared_sands_are_their_parts_of_the_force(order):
         mujoco.mj_step2(model, data)
     total = np.sum([report.force for report in reports], axis=0)
     assert [*total[:2], total[2] - 0.5] == pytest.approx(applied[:3], abs=1e-6)
-    assert total[2] == pytest.approx(0.5 + 0.3 * 9.81, rel=1e-2)
+    assert total[2] == pytest.approx(0.5 + 0.3 * 9.81, rel=1e-9)
+    assert np.abs(data.qvel).max() < 1e-9
+    _, alone = parts[1].release(data), parts[0].report(data)["rod"]
+    assert alone.force[2] > 1.1 * reports[order[0]].force[2]  # half of the rod has lost its sand
+
+
+@pytest.mark.parametrize("joined", [True, False])
+def test_sands_on_parts_of_one_robot_are_solved_together(joined):
+    """Without `shared`, since no body meets both; a sand that is not called acts no more."""
+    foot = """<body pos="{} 0 0"><joint axis="0 1 0" stiffness="20" damping="1"/>
+    <geom type="box" size=".04 .04 .02" mass=".5"/></body>"""
+    model = mujoco.MjModel.from_xml_string(
+        f"""<mujoco><option timestep="2e-3" integrator="implicitfast"/><worldbody>
+        <body pos="0 0 .01"><freejoint/><geom size=".03" mass="1" pos="0 0 .1"/>
+        {foot.format(-0.2)}{foot.format(0.2)}</body></worldbody></mujoco>"""
+    )
+    one, data, twin = Sand(model), mujoco.MjData(model), mujoco.MjData(model)
+    parts = [Sand(model, bodies=[2]), Sand(model, bodies=[3])]
+    for _ in range(800):
+        one.step(data)
+        mujoco.mj_step1(model, twin)
+        for part in parts if joined else parts[:1]:
+            part.apply(twin)
+        mujoco.mj_step2(model, twin)
+    if joined:
+        assert twin.qpos == pytest.approx(data.qpos, abs=1e-9)
+        assert np.abs(twin.qvel).max() < 1e-9
+    else:
+        assert twin.qpos[2] < data.qpos[2] - 0.1
 
 
 def test_a_report_takes_the_slope_against_gravity(everything):

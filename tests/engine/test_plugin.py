@@ -35,7 +35,7 @@ from mjgranular import (
     laws,
     register_law,
 )
-from mjgranular.engine import NAME, pickles
+from mjgranular.engine import NAME, pickles, tune
 from mjgranular.engine.config import KEYS
 from mjgranular.engine.instances import sands_in
 from mjgranular.engine.measures import SENSOR, SENSOR_KEYS
@@ -623,6 +623,35 @@ def test_two_implicit_sands_on_one_body() -> None:
             door.apply(theirs)
         mujoco.mj_step2(bare, theirs)
         np.testing.assert_allclose(mine.qvel, theirs.qvel, rtol=1e-7)
+
+
+@pytest.mark.parametrize(
+    "names", [("right", "left"), ("left", "right", "off"), ("off", "right", "left")]
+)
+def test_what_stands_in_two_sands_rests_as_in_one(names: tuple[str, ...]) -> None:
+    """Whatever their order, and beside a third that is switched off."""
+    text = """<mujoco><option timestep="2e-3" integrator="implicitfast"><flag contact="disable"/>
+      </option><worldbody>
+      <geom name="left" type="box" size=".5 1 .5" pos="-.5 0 -.5"/>
+      <geom name="right" type="box" size=".5 1 .5" pos=".5 0 -.5"/>
+      <geom name="off" type="box" size="1 1 .5" pos="0 0 -.5"/>
+      <body pos=".03 0 .05" euler="3 4 5"><freejoint/>
+        <geom type="box" size=".1 .04 .03" mass="3"/>
+      </body></worldbody></mujoco>"""
+    alone = mujoco.MjSpec.from_string(text)
+    add_sand(alone, surface=Bed("off"))
+    spec = mujoco.MjSpec.from_string(text)
+    for name in names:
+        add_sand(spec, surface=Bed(name), name=name, tunable=True)
+    one, two = alone.compile(), spec.compile()
+    data, twin = mujoco.MjData(one), mujoco.MjData(two)
+    if "off" in names:
+        tune(two, twin.plugin_state, "off", active=0)
+    mujoco.mj_step(one, data, 500)
+    mujoco.mj_step(two, twin, 500)
+    assert np.abs(data.qvel).max() < 1e-11
+    assert twin.qpos == pytest.approx(data.qpos, abs=1e-5)  # facets that the seam cuts
+    assert np.abs(twin.qvel).max() < 1e-11
 
 
 def test_batch_with_other_models(model: mujoco.MjModel) -> None:
