@@ -22,7 +22,7 @@ from mjgranular.shape.sizes import geom_axes
 # Rows of `userdata`: steps of the episode, sine and cosine of the slope, the last action, and what
 # is drawn at the start: commands and pushes, each with the step at which it begins.
 _STEP, _SLOPE, _ACTION = 0, slice(1, 3), slice(3, 15)
-_COMMANDS, _PUSHES = 7, 20  # at most, in an episode of 20 s
+_COMMANDS, _PUSHES = 8, 20  # at most, in an episode of 20 s
 _COMMAND = slice(15, 15 + 4 * _COMMANDS)
 _PUSH = slice(_COMMAND.stop, _COMMAND.stop + 7 * _PUSHES)
 _STRENGTH, _DELAY = _PUSH.stop, _PUSH.stop + 1  # of the motors in this episode
@@ -31,6 +31,7 @@ _TARGETS = slice(_DELAY + 1, _DELAY + 1 + 12 * _LATE)  # earlier ones, the last 
 _PAST = slice(_TARGETS.stop, None)  # what was sensed in earlier steps, the last step first
 _SENSED = 42  # observations before the command
 
+_SETTLING = 0.5  # before the first command [s]; chosen: in weak sand a Go1 sinks for 0.2 s
 _COMMAND_TIME = (3.0, 8.0)  # of a command [s]; these and the next two as in mjlab
 _PUSH_TIME = (1.0, 3.0)  # from one push to the next [s]
 _PUSH_SIZE = np.array([0.5, 0.5, 0.4, 0.52, 0.52, 0.78])  # [m/s], [rad/s]
@@ -151,10 +152,11 @@ class Go1Velocity(Task):
     In its stance on the surface, heading anywhere; joints are off by up to `reset_noise_scale` rad
     and turn at up to that in rad/s.
 
-    A command holds for 3 to 8 s. One of ten is to stand, one of five to walk straight ahead, at 0.3
+    For half a second the command is to stand: a robot that is put down sinks until its feet carry it,
+    a Go1 by 8 cm in weak sand. Then a command holds for 3 to 8 s. One of ten is to stand, one of five to walk straight ahead, at 0.3
     m/s or more. Every 1 to 3 s a push changes the trunk's velocity by up to `push_scale` times 0.5
     m/s along x and y, 0.4 m/s along z, 0.52 rad/s in roll and pitch and 0.78 rad/s in yaw.
-    There are 7 commands and 20 pushes, enough for 20 s: in longer episodes the last command holds.
+    There are 7 more commands and 20 pushes, enough for 20 s: in longer episodes the last command holds.
 
     Torques of all motors, and their limits, are those of the data sheet times a factor that is
     drawn from `motor_strength`. Targets of the motors come late by a number of steps of 0.02 s that
@@ -388,8 +390,9 @@ class Go1Velocity(Task):
         """Return steps at which commands begin, and commands; shape (_COMMANDS, 4)."""
         ranges = (self.command_x, self.command_y, self.command_yaw)
         table = np.zeros((_COMMANDS, 4))
-        table[1:, 0] = np.round(random.uniform(*_COMMAND_TIME, _COMMANDS - 1) / self.dt).cumsum()
-        for row in table:
+        times = random.uniform(*_COMMAND_TIME, _COMMANDS - 2)
+        table[1:, 0] = np.round(np.array([_SETTLING, *times]) / self.dt).cumsum()
+        for row in table[1:]:
             row[1:] = [random.uniform(*limits) for limits in ranges]
             kind = random.uniform()
             if kind < _STANDING:

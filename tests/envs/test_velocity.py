@@ -145,7 +145,7 @@ def test_the_scripted_walk_lifts_one_leg_in_turn_with_level_soles():
     env = SandEnv(G1Velocity(**STILL, **{**STAND, "command_x": (0.4, 0.4)}))
     env.reset(seed=0)
     task, targets = env.task, []
-    for step in range(40):
+    for step in range(25, 65):  # after half a second of standing
         env.data.userdata[0] = step
         targets.append(task._trot(env._state)[0].reshape(2, 6))
     hip, knee, ankle = (np.array(targets)[:, :, part] for part in (0, 3, 4))
@@ -229,6 +229,9 @@ def test_commands_and_pushes_come_within_an_episode():
     assert len(seen) > 1
     assert jumps >= 2
     commands = np.array([task._draw_commands(np.random.default_rng(k)) for k in range(300)])
+    assert np.array_equal(commands[:, :2, 0], np.tile([0, 25], (300, 1)))
+    assert not commands[:, 0, 1:].any()  # to stand, until it carries itself
+    commands = commands[:, 1:]
     stand = np.all(commands[:, :, 1:] == 0, axis=2).mean()
     ahead = np.mean((commands[:, :, 1] > 0) & (commands[:, :, 2] == 0))
     assert stand == pytest.approx(0.1, abs=0.02)
@@ -276,9 +279,10 @@ def test_the_clock_runs_unless_the_command_is_to_stand():
     for options, moves in ((STAND, False), (walking, True)):
         env = SandEnv(Go1Velocity(**STILL, **options))
         env.reset(seed=0)
-        clocks = [env.step(ZERO)[0][45:] for _ in range(25)]
+        clocks = [env.step(ZERO)[0][45:] for _ in range(50)]
         sizes = np.linalg.norm(clocks, axis=1)
-        assert sizes == pytest.approx(np.full(25, float(moves)))
+        assert not sizes[:24].any()
+        assert sizes[24:] == pytest.approx(np.full(26, float(moves)))
 
 
 def test_a_history_has_what_was_sensed_before():
