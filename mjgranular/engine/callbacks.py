@@ -171,7 +171,7 @@ def adjust(block, model, data, instance):
 
 @compiled
 def is_solved_later(header, data):
-    """Return True if a later sand is solved at the end of the step, and then this one with it."""
+    """Return True if a later sand is solved, and then this one and those before it with it."""
     number = header.later
     while number != 0:
         block = find_block(data, number)
@@ -181,7 +181,8 @@ def is_solved_later(header, data):
         if later.refused != 0 or later.program == 0:
             return False
         if later.whole != 0:
-            table_at(later.table)[BESIDE] = header.table
+            table = table_at(header.table)
+            table_at(later.table)[BESIDE] = table[BESIDE] if table[OFF] != 0 else header.table
             return True
         number = later.later
     return False
@@ -319,7 +320,8 @@ def compute(model, data, instance, capability):
     table = table_at(header.table)
     if header.tuning_count != 0 and not adjust(block, model, data, instance):
         table[OFF] = 1
-    if table[OFF] != 0 and header.whole == 0:
+    waits = header.whole != 0 and is_solved_later(header, data)
+    if table[OFF] != 0 and (waits or table[BESIDE] == 0):
         return
     # A batch may run this mjData on another model, or move arrays of the same.
     link_model(block, model, header)
@@ -330,7 +332,7 @@ def compute(model, data, instance, capability):
     options = options_of(model)
     if options.integrator != _RK4 or header.whole != 0:
         lead = header.lead * options.timestep
-    if header.whole != 0 and is_solved_later(header, data):
+    if waits:
         call_step(table[SAMPLING], header.table, lead)
         return
     status = call_step(header.program, header.table, lead)

@@ -208,7 +208,8 @@ def _key(model: int, instance: int, texts: dict[str, str]) -> bytes:
     for name in _SWITCHES:
         digest.update(options[name].tobytes())
     parts = [id(part) for part in _registered()]
-    digest.update(repr((instance, texts, _medium_now(texts["medium"]), parts)).encode())
+    sands = list(_sands(model).values())  # a block has the number of the next
+    digest.update(repr((instance, sands, texts, _medium_now(texts["medium"]), parts)).encode())
     if texts["scheme"].split()[:1] in ([], [Auto.name]):  # it depends on the time step
         digest.update(options["timestep"].tobytes())
     for name, (offset, size) in _arrays(_sizes(model)).items():

@@ -27,8 +27,8 @@ from mjgranular.kernel.structs import fields_of, offset_of
 # it, and the address of the program that updates it after a step; 0 without memory. SAMPLING and
 # LAW are the addresses of the programs of `Scheme.sampling` and `Scheme.forces`; 0 for none.
 # SURFACE is where the surface begins in a scene, after the law [bytes]. BESIDE is the table of the
-# sand that acted before this one in the same step, and is solved together with it; 0 for none. OFF is
-# 1 for a sand that is switched off.
+# sand that acted before this one in the same step, and is solved together with it; 0 for none. OFF
+# is 1 for a sand that is switched off, or whose step has ended.
 NBODY, NV, ELEMENT_COUNT, BODY_COUNT, INTEGRATORS, LONGEST_STEP = range(6)
 OPTIONS, DOF_PARENT, XPOS, XMAT, XIPOS, SUBTREE_COM, CVEL, CDOF, WARMSTART, XFRC = range(6, 16)
 WARNINGS, ELEMENTS, BODIES, SCENE, CONTACTS, SNAPSHOT, WORKSPACE = range(16, 23)

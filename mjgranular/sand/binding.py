@@ -13,10 +13,10 @@ import numpy as np
 
 from mjgranular.errors import InputError
 from mjgranular.kernel.compiled import entry
-from mjgranular.kernel.memory import BESIDE
+from mjgranular.kernel.memory import BESIDE, OFF
 from mjgranular.kernel.options import options_address
 from mjgranular.kernel.records import BODY_DTYPE, CONTACT_DTYPE
-from mjgranular.sand.guard import Snapshot, withdraw
+from mjgranular.sand.guard import Snapshot, add_again, withdraw
 from mjgranular.sand.prepare import PreparedSand
 from mjgranular.scheme.scheme import Workspace
 from mjgranular.scheme.status import EVERY_INTEGRATOR, bits_of, nanoseconds
@@ -145,8 +145,8 @@ class SandRegistry:
 
     @property
     def is_crowded(self) -> bool:
-        """Whether more than one Sand acts."""
-        return len(self._members) > 1
+        """Whether more than one Sand acts, or did until now and is gone."""
+        return len(self._members) > 1 or len(self._shares) > 1
 
     def add(self, sand: Any, model: mujoco.MjModel, binding: Binding, *, shared: bool) -> None:
         """Register a Sand; raise if another acts on one of its bodies, and not both are shared."""
@@ -174,13 +174,19 @@ class SandRegistry:
     def begin(self, binding: Binding, time: float) -> None:
         """Prepare for the share of a Sand at a time [s].
 
-        The first that comes for a second time begins a new step: the shares of the last step are
-        removed. Those of the same time are solved together.
+        The first that comes at another time, or for a second time, begins a new step: the shares of
+        the last step are removed. So does one after a `Sand.step`, or a failure. All others that
+        can be are solved together, and the rest acts before them.
         """
-        if any(share is binding for share in self._shares):
+        if any(
+            share is binding or share.table[OFF] or share.snapshot.time != time
+            for share in self._shares
+        ):
             self._withdraw_all()
-        together = [one for one in self._shares if one.joins and one.snapshot.time == time]
-        binding.table[BESIDE] = together[-1].address if together and binding.joins else 0
+        together = [share for share in self._shares if share.joins and binding.joins]
+        if together and not self._shares[-1].joins:
+            self._put_last(together)
+        binding.table[BESIDE] = together[-1].address if together else 0
         self._shares.append(binding)
 
     def before(self, binding: Binding) -> list[Binding]:
@@ -197,6 +203,14 @@ class SandRegistry:
         """Return the other Sands."""
         return [other for other in self._members if other is not sand]
 
+    def _put_last(self, together: list[Binding]) -> None:
+        """Put the shares that are solved together after all others; they are yet to be added."""
+        first = [share for share in self._shares if not share.joins]
+        self._withdraw_all()
+        for share in first:
+            entry(add_again, "int64(int64)")(share.address)
+        self._shares = first + together
+
     def _withdraw_all(self) -> None:
         """Take all shares back, the latest first: each finds the row as it left it."""
         while self._shares:
@@ -204,7 +218,7 @@ class SandRegistry:
 
 
 def _withdraw(binding: Binding) -> None:
-    entry(withdraw, "int64(int64)")(binding.table.ctypes.data)
+    entry(withdraw, "int64(int64)")(binding.address)
 
 
 _registries: weakref.WeakKeyDictionary[mujoco.MjData, SandRegistry] = weakref.WeakKeyDictionary()

@@ -12,10 +12,24 @@ import numpy as np
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.engine import get_state
 from mjgranular.kernel.intrinsics import call_step
-from mjgranular.kernel.memory import SNAPSHOT, STATE, STATE_SIZE, UPDATE, floats, records, table_at
+from mjgranular.kernel.memory import (
+    OFF,
+    SNAPSHOT,
+    STATE,
+    STATE_SIZE,
+    UPDATE,
+    floats,
+    records,
+    table_at,
+)
 from mjgranular.relief.grid import TIME
 from mjgranular.scheme.status import BAD_STATE, FINE
-from mjgranular.scheme.wrenches import is_bad, take_back_wrenches, withdraw_wrenches
+from mjgranular.scheme.wrenches import (
+    add_wrenches,
+    is_bad,
+    take_back_wrenches,
+    withdraw_wrenches,
+)
 
 _RECORD_DTYPE = np.dtype([("model", np.int64), ("data", np.int64), ("state", np.int64)])
 _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
@@ -74,14 +88,15 @@ def guarded_step(program, address, lead):
     A surface with memory is updated after it. Return what the program returns, or `BAD_STATE`.
     """
     table = table_at(address)
-    if is_bad(table):
+    table[OFF] = is_bad(table)
+    if table[OFF] != 0:
         return BAD_STATE
     save_snapshot(table)
-    if table[UPDATE] == 0:
-        return call_step(program, address, lead)
-    forget_after_reset(table)
+    if table[UPDATE] != 0:
+        forget_after_reset(table)
     failed = call_step(program, address, lead)
-    if failed == FINE:
+    table[OFF] = failed != FINE
+    if table[OFF] == 0 and table[UPDATE] != 0:
         call_step(table[UPDATE], address, 0.0)
     return failed
 
@@ -90,11 +105,20 @@ def guarded_step(program, address, lead):
 def finish_step(address):
     """Remove the wrenches after `mj_step2`; return `FINE`, or `BAD_STATE` if the state is bad."""
     take_back_wrenches(address)
-    return BAD_STATE if is_bad(table_at(address)) else FINE
+    table = table_at(address)
+    table[OFF] = 1
+    return BAD_STATE if is_bad(table) else FINE
 
 
 @compiled
 def withdraw(address):
     """Remove what is left of the wrenches that a Sand wrote; return `FINE`."""
     withdraw_wrenches(table_at(address))
+    return FINE
+
+
+@compiled
+def add_again(address):
+    """Add the wrenches that a Sand wrote last, after `withdraw`; return `FINE`."""
+    add_wrenches(table_at(address))
     return FINE

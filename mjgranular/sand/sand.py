@@ -205,8 +205,8 @@ class Sand:
         """Add the sand's wrenches to `data.xfrc_applied`, for a custom stepping loop.
 
         Call it between `mj_step1` and `mj_step2`, when positions and velocities are current. The
-        wrench stays in `xfrc_applied` until the next call, which takes it back; a row that was
-        written in between is taken to hold only your own wrench.
+        wrench stays in `xfrc_applied` until the next call, of any `Sand` in another step, which
+        takes it back; a row that was written in between is taken to hold only your own wrench.
 
         Raises:
             UnstableError: a force is not finite, and then nothing is written; or MuJoCo has found

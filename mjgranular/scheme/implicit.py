@@ -158,7 +158,9 @@ def implicit_program(address, lead):
         done, error = find_velocity(table, w)
         warm_start(w)
         share = passive_share(w, error)
-        write_results(table, w, share, done, error)
+        write_results(table, w, share)
+        if w.count > 0:  # the others have counted this step themselves
+            count_step(w.statistics[0], done, error)
     return add_all(table)
 
 
@@ -279,7 +281,7 @@ def warm_start(w):
 
 
 @compiled
-def write_results(table, w, share, done, error):
+def write_results(table, w, share):
     """Write what a step found to the records of all sands that act together."""
     address = table.ctypes.data
     while address != 0:
@@ -292,7 +294,6 @@ def write_results(table, w, share, done, error):
         if own.count > 0:
             write_body_wrenches(w, bodies_of(sand), share)
             write_contacts(sand, own, share)
-            count_step(own.statistics[0], done, error)
         address = sand[BESIDE]
 
 

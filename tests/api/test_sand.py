@@ -200,6 +200,75 @@ def test_sands_on_parts_of_one_robot_are_solved_together(joined):
         assert twin.qpos[2] < data.qpos[2] - 0.1
 
 
+def made_of_two(model):
+    """Make the sand of two halves of a bed, and a firm plane under the explicit scheme."""
+    halves = [
+        Sand(model, surface=Bed(name), law="rft3d", shared=True) for name in ("left", "right")
+    ]
+    return [*halves, Sand(model, law="rft3d", scheme="explicit", shared=True)]
+
+
+def wrench_of(sands, model, data, order):
+    mujoco.mj_step1(model, data)
+    for index in order:
+        sands[index].apply(data)
+    return data.xfrc_applied[1].copy()
+
+
+@pytest.mark.parametrize("before", [(0, 1), (1,), (1, 0), (2, 0, 1)])
+@pytest.mark.parametrize("order", [(0, 1), (0, 2, 1), (1,)])
+def test_which_sands_acted_in_the_last_step_does_not_matter(before, order):
+    """Also not that an explicit one acts between two that are solved together."""
+    model = beds()
+    model.opt.timestep, model.geom_contype[:] = 1e-3, 0
+    data, other = mujoco.MjData(model), mujoco.MjData(model)
+    data.qvel[0] = 3.0
+    sands = made_of_two(model)
+    wrench_of(sands, model, data, (0, 1))
+    mujoco.mj_step2(model, data)
+    wrench_of(sands, model, data, before)
+    mujoco.mj_step2(model, data)
+    mujoco.mj_copyState(model, data, other, mujoco.mjtState.mjSTATE_INTEGRATION)
+    other.xfrc_applied[:] = 0
+    fresh = wrench_of(made_of_two(model), model, other, sorted(order, key=lambda index: index != 2))
+    assert wrench_of(sands, model, data, order) == pytest.approx(fresh, rel=1e-6, abs=1e-9)
+    assert np.abs(fresh).max() > 0.1
+
+
+def test_a_sand_whose_step_has_ended_acts_no_more():
+    """Two sands from the same state; and one in place of one that is gone."""
+    model = beds()
+    first, second, _ = made_of_two(model)
+    data, alone = mujoco.MjData(model), mujoco.MjData(model)
+    first.step(data)
+    mujoco.mj_resetData(model, data)
+    second.step(data)
+    second.step(alone)
+    assert np.array_equal(data.qvel, alone.qvel)
+    mujoco.mj_resetData(model, data)
+    mujoco.mj_step1(model, data)
+    first.apply(data)
+    second.release(data)
+    del first
+    gc.collect()
+    third = made_of_two(model)[1]
+    third.apply(data)
+    mujoco.mj_step2(model, data)
+    mujoco.mj_copyState(model, data, alone, mujoco.mjtState.mjSTATE_INTEGRATION)
+    alone.xfrc_applied[:] = 0
+    wrench = wrench_of([third], model, data, (0,))
+    assert np.array_equal(wrench, wrench_of([second], model, alone, (0,)))
+
+
+def test_each_sand_counts_its_steps_once():
+    model = beds()
+    sands, data = made_of_two(model), mujoco.MjData(model)
+    for _ in range(5):
+        wrench_of(sands, model, data, (0, 1))
+        mujoco.mj_step2(model, data)
+    assert [sand.report(data).solver.steps for sand in sands[:2]] == [5, 5]
+
+
 def test_a_report_takes_the_slope_against_gravity(everything):
     data = mujoco.MjData(everything)
     sand = Sand(everything)

@@ -652,6 +652,32 @@ def test_what_stands_in_two_sands_rests_as_in_one(names: tuple[str, ...]) -> Non
     assert np.abs(data.qvel).max() < 1e-11
     assert twin.qpos == pytest.approx(data.qpos, abs=1e-5)  # facets that the seam cuts
     assert np.abs(twin.qvel).max() < 1e-11
+    for name in names:
+        tune(two, twin.plugin_state, name, active=0)
+    two.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4  # which none can step
+    mujoco.mj_step(two, twin)
+
+
+def test_sands_with_a_sensor_between_them_are_solved_together() -> None:
+    """The same block would name the sensor as the next sand."""
+    start = '<plugin plugin="mjgranular.{}"><instance name="{{}}"><config key='
+    end = "/></instance></plugin>"
+    sand = start.format("sand") + '"surface" value="bed geom=b"' + end
+    measure = '"measure" value="depth"/><config key="sand" value="a"'
+    sensor = start.format("sensor") + measure + end
+    ends = []
+    for kinds, sensing in (((sensor, sand), "b"), ((sand, sensor), "c")):
+        text = "".join(kind.format(name) for kind, name in zip(kinds, "bc", strict=True))
+        model = mujoco.MjModel.from_xml_string(f"""<mujoco><option timestep="2e-3"/>
+          <extension>{sand.format("a").replace("=b", "=a")}{text}</extension><worldbody>
+          <geom name="a" type="box" size=".5 1 .5" pos="-.5 0 -.5"/>
+          <geom name="b" type="box" size=".5 1 .5" pos=".5 0 -.5"/>
+          <body><freejoint/><geom type="box" size=".1 .04 .03" mass="3"/></body></worldbody>
+          <sensor><plugin plugin="mjgranular.sensor" instance="{sensing}"/></sensor></mujoco>""")
+        data = mujoco.MjData(model)
+        mujoco.mj_step(model, data, 20)
+        ends.append(data.qpos.copy())
+    assert np.array_equal(*ends)
 
 
 def test_batch_with_other_models(model: mujoco.MjModel) -> None:
