@@ -225,6 +225,7 @@ _END = 0.1  # part of the rows over which the final depth is averaged; chosen
 _PLAUSIBLE = (0.02, 1.5)  # mean speed on the way down over that of a free fall; chosen, wide
 _OTHER_UNITS = (("depth", "mm", 1e-3, 1.0), ("depth", "cm", 1e-2, 1.0), ("time", "ms", 1.0, 1e-3))
 _TIMES = 200  # number of stopping times tried
+_VAGUE = 0.5  # part of a stopping time within which the rows must tell it; chosen
 _STAYS = 0.03  # parts of its range within which a curve counts as settled; chosen
 
 _STEPS = 100  # steps of a simulated record, and twice that; chosen by trials, see `simulate`
@@ -270,7 +271,7 @@ def find_arrest(since: np.ndarray, depth: np.ndarray) -> Arrest:
 
     With constant deceleration at the end, `d = D - a (T - t)^2 / 2` before the body stops: D, a and
     T are fitted to the last quarter of the path. If the body rolls over afterwards, only the part
-    before it rises again counts.
+    before it rises again counts. There is no time if noise or few rows leave it open.
     """
     count = max(1, round(_END * len(depth)))
     final = float(depth[-count:].mean())
@@ -285,15 +286,15 @@ def find_arrest(since: np.ndarray, depth: np.ndarray) -> Arrest:
     t, d = since[rows], depth[rows]
     if len(t) < 5:
         return Arrest(final)
-    best, at = math.inf, None
-    for stop in np.linspace(t[0], t[-1], _TIMES)[1:]:
+    stops, errors = np.linspace(t[0], t[-1], _TIMES)[1:], []
+    for stop in stops:
         basis = np.column_stack([np.ones(len(t)), np.maximum(stop - t, 0.0) ** 2])
         solution, *_ = np.linalg.lstsq(basis, d, rcond=None)
-        error = float(((basis @ solution - d) ** 2).sum())
-        if error < best:
-            best, at = error, stop
+        errors.append(float(((basis @ solution - d) ** 2).sum()))
+    at, least = float(stops[np.argmin(errors)]), min(errors)
+    alike = stops[np.array(errors) <= least * (1 + 4 / (len(t) - 3))]  # within two deviations
     last = t[-1] - 1.5 * (t[-1] - t[0]) / _TIMES
-    return Arrest(final, None if at is None or at >= last else float(at))
+    return Arrest(final, None if at >= last or np.ptp(alike) > _VAGUE * at else at)
 
 
 def check_units(time: np.ndarray, depth: np.ndarray, speed: float, size: float, where: str) -> None:
