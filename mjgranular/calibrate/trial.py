@@ -146,7 +146,11 @@ class PushTrial(Trial):
             raise InputError(f"{where}: speeds of a drag must be positive, got {least:g} m/s")
         if inside.sum() < 2:
             count = inside.sum() or "no contact"
-            raise InputError(f"{where}: a {run.kind} needs 2 or more rows in the sand, got {count}")
+            what = "depths" if run.kind == "intrude" else "speeds"
+            raise InputError(
+                f"{where}: 2 or more rows must be in the sand, got {count}; "
+                f"{what} there are positive"
+            )
         rows = {name: values[inside] for name, values in measured.items()}
         mean = rows["force"].mean()
         if mean <= 0:
@@ -208,9 +212,12 @@ def _check_depth(depth: float, run: Run, where: str) -> None:
     if depth <= _DEEPEST * size:
         return
     what = f"{where}: a depth of {depth:.4g} m for a body of {size:.3g} m"
-    for unit, factor in _UNITS:
-        if depth * factor <= _DEEPEST * size:
-            raise InputError(f"{what} looks like {unit}: name the column 'depth [{unit}]'")
+    units = [unit for unit, factor in _UNITS if depth * factor <= _DEEPEST * size]
+    if units:
+        likely, name = " or ".join(units), f"name the column 'depth [{units[-1]}]'"
+        if run.depth is not None:
+            name = "the key depth is in m"
+        raise InputError(f"{what} looks like {likely}: {name}")
     raise InputError(f"{what} is not plausible: check the units")
 
 
@@ -366,10 +373,15 @@ class DropTrial(Trial):
         measured = run.measured()
         time, depth = measured["time"], measured["depth"]
         check_record(time, depth, self._where)
+        falls = run.kind == "drop"  # a model starts at its first row
+        if falls and depth[-1] < min(depth[0], 0.0):
+            raise InputError(
+                f"{self._where}: the body ends {-depth[-1]:.4g} m above the sand: "
+                "depths are positive downward"
+            )
         if self._speed > 0 or run.body is not None:
             size = math.inf if run.body is None else run.body.size
             check_units(time, depth, self._speed, size, self._where)
-        falls = run.kind == "drop"  # a model starts at its first row
         self.touch = self._touch(time, depth) if falls else float(time[0])
         since = time - self.touch
         curves = [np.maximum(depth, 0.0)]
