@@ -110,6 +110,13 @@ def test_drops_of_one_speed_leave_a_null_direction():
     assert max(best.intervals.values()) < 0.3
 
 
+def test_added_mass_counts_as_resistance_by_speed():
+    fit = Fit((drop(1.0), drop(1.1)), RFT, ("strength", "added"), law="rft3d_dynamic")
+    result = run_fit(fit)
+    assert result.identifiable == {"strength": False, "added": False}
+    assert result.valleys[0].one_speed
+
+
 def test_density_and_friction_of_rft3d_are_known_by_their_product_alone():
     depth = np.linspace(0.002, 0.03, 15)
     force = 100.0 * depth
