@@ -204,6 +204,18 @@ def test_data_that_cannot_be(said, place, capsys):
     assert not (place / "m.yaml").exists()
 
 
+@pytest.mark.parametrize("wrong", ["mass: 69.2", "diameter: 25.4", "diameter: 0.0127"])
+def test_a_body_that_no_material_makes(wrong, place, capsys):
+    text = (place / "runs.yaml").read_text()
+    key = wrong.split(":")[0]
+    right = {"mass": "mass: 0.0692", "diameter": "diameter: 0.0254"}[key]
+    (place / "runs.yaml").write_text(text.replace(right, wrong, 1))
+    assert main(["fit", "runs.yaml", *FREE]) == 0
+    said = " ".join(capsys.readouterr().err.split())
+    assert "warning: run 'slow': a sphere of" in said
+    assert "mass is in kg" in said
+
+
 def pushed(place, rows, **keys):
     """Writes a file of one push or drag of a plate of 40 mm."""
     keys = {"name": "plate", "kind": "intrude", "data": "plate.csv"} | keys
