@@ -277,6 +277,12 @@ class MeasuredRun:
             raise InputError(f"{where}: a {self.kind} needs a column of forces")
         if time is not None and (np.diff(time) <= 0).any():
             raise InputError(f"{where}: its times must grow from row to row")
+        above = -self.motion.depth[0]
+        if self.kind == "drop" and above > self.motion.depth.max() / 2:  # chosen
+            raise InputError(
+                f"{where}: it begins {above:.3g} m above the sand, and the speed is that of its "
+                "first row: leave out rows before the touch"
+            )
 
     def _check_joints(self, spec: mujoco.MjSpec) -> None:
         needed = _JOINTS.get(self.kind)
