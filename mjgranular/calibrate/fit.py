@@ -21,15 +21,23 @@ from mjgranular.calibrate.intervals import (
 )
 from mjgranular.calibrate.material import STRENGTH, Material
 from mjgranular.calibrate.motion import Errors
-from mjgranular.calibrate.runs import MeasuredRun, Run
+from mjgranular.calibrate.runs import Body, MeasuredRun, Run
 from mjgranular.calibrate.trial import DropTrial, ModelTrial, Problem, PushTrial, RowsTrial, Trial
-from mjgranular.errors import InputError, UnknownNameError, UnstableError, shown
+from mjgranular.errors import (
+    InputError,
+    RangeWarning,
+    UnknownNameError,
+    UnstableError,
+    shown,
+    warn_user,
+)
 from mjgranular.law import Law
 from mjgranular.medium import Medium, get_medium
 
 _SCAN = tuple(10.0**k for k in range(-3, 4))  # starts that are tried if none is given
 _MOST_ROUNDS = 40
 _UNKNOWN = 10.0  # half width in parts of the value from which no interval is reported; chosen
+_DENSITIES = (5.0, 25000.0)  # of bodies, from foam to osmium [kg/m^3]; chosen
 _ON_BOUND = 1e-3  # parts of its size within which a constant counts as on a bound; chosen
 
 Progress = Callable[[int, str], None]
@@ -187,6 +195,7 @@ def run_fit(fit: Fit, *, progress: Progress | None = None) -> FitResult:
     """
     check_kind(fit, Fit, "run_fit", "read_fit('runs.yaml', free=[...])")
     optimize = require("scipy.optimize", extra="fit", purpose="Fitting")
+    _check_bodies(fit.runs)
     trials = {run.name: _trial(run) for run in fit.runs}
     fitted = [trial for name, trial in trials.items() if name not in fit.hold_out]
     _check_enough(fitted, fit.free)
@@ -214,6 +223,19 @@ def _trial(run: Run | MeasuredRun) -> Trial:
     if isinstance(run, MeasuredRun):
         return RowsTrial(run)
     return {"drop": DropTrial, "model": ModelTrial}.get(run.kind, PushTrial)(run)
+
+
+def _check_bodies(runs: Sequence[Run | MeasuredRun]) -> None:
+    for run in runs:
+        body = run.body
+        if isinstance(body, Body) and body.is_heavy:
+            density, (low, high) = body.projectile.density, _DENSITIES
+            if not low <= density <= high:
+                warn_user(
+                    f"run {shown(run.name)}: a {body.describe()} has {density:.3g} kg/m^3: "
+                    "mass is in kg, diameter and length are in m",
+                    RangeWarning,
+                )
 
 
 def _check_enough(trials: Sequence[Trial], free: Sequence[str]) -> None:

@@ -106,7 +106,7 @@ class Material:
                 made = self.changed({name: other})
                 plain, now = (m.law.parameters(m.medium) for m in (self, made))
                 touched = {k for k in plain.dtype.names or () if np.any(plain[k] != now[k])}
-                return bool(touched) and touched <= set(type(self.law).density_keys)
+                return bool(touched) and touched <= {*type(self.law).density_keys, "added"}
         return False
 
     def check_free(self, names: tuple[str, ...]) -> None:

@@ -277,6 +277,12 @@ class MeasuredRun:
             raise InputError(f"{where}: a {self.kind} needs a column of forces")
         if time is not None and (np.diff(time) <= 0).any():
             raise InputError(f"{where}: its times must grow from row to row")
+        above = -self.motion.depth[0]
+        if self.kind == "drop" and above > self.motion.depth.max() / 2:  # chosen
+            raise InputError(
+                f"{where}: it begins {above:.3g} m above the sand, and the speed is that of its "
+                "first row: leave out rows before the touch"
+            )
 
     def _check_joints(self, spec: mujoco.MjSpec) -> None:
         needed = _JOINTS.get(self.kind)
@@ -369,7 +375,7 @@ _LARGEST = 50_000_000
 
 _TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
 _LENGTHS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2}
-_FORCES = {"n": 1.0, "mn": 1e-3, "kn": 1e3}
+_FORCES = {"N": 1.0, "mN": 1e-3, "kN": 1e3}
 _ANGLES = {"deg": 1.0, "degrees": 1.0, "rad": 180.0 / np.pi}
 _HEADINGS: dict[str, tuple[tuple[str, ...], dict[str, float]]] = {
     "time": (("time", "t"), _TIMES),
@@ -381,9 +387,9 @@ _HEADINGS: dict[str, tuple[tuple[str, ...], dict[str, float]]] = {
     "side": (("side force", "side"), _FORCES),
     "angle": (("angle",), _ANGLES),
     "spin": (("spin",), {"rad/s": 1.0}),
-    "rate": (("rate",), {"hz": 1.0}),
+    "rate": (("rate",), {"Hz": 1.0}),
 }
-"""Headings of each column, and factors of its units, in lower case."""
+"""Headings of each column in lower case, and factors of its units."""
 
 
 def read_table(
@@ -414,6 +420,10 @@ def read_table(
     if not rows:
         raise InputError(f"{name} is empty: a table has a line of headings and rows of numbers")
     headings = [cell.strip() for cell in rows[0][1]]
+    if len(headings) == 1 and any(mark in headings[0] for mark in ";\t"):
+        raise InputError(
+            f"{name} has no commas: columns are separated by commas, and numbers have points"
+        )
     if None not in map(parse_number, headings):
         raise InputError(
             f"{name} begins with numbers: its first line must name the columns, such as time,depth"
@@ -456,18 +466,19 @@ def _split(heading: str, column: str) -> tuple[str, str | None]:
     if bracket:
         return bracket[1].strip(), bracket[2]
     stem, _, tail = text.rpartition("_")
-    if stem and tail in _HEADINGS[column][1]:
+    if stem and tail in map(str.lower, _HEADINGS[column][1]):
         return stem, tail
     return text, None
 
 
 def _factor(heading: str, column: str, name: str) -> float:
     unit, units = _split(heading, column)[1], _HEADINGS[column][1]
-    if unit is not None and unit not in units:
+    factors = {known.lower(): factor for known, factor in units.items()}
+    if unit is not None and unit not in factors:
         raise InputError(
             f"{name}: {shown(heading)} must be in one of {listed(units)}, got {shown(unit)}"
         )
-    return 1.0 if unit is None else units[unit]
+    return 1.0 if unit is None else factors[unit]
 
 
 def _number(row: list[str], index: int, line: int, name: str) -> float:

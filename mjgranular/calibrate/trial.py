@@ -146,7 +146,11 @@ class PushTrial(Trial):
             raise InputError(f"{where}: speeds of a drag must be positive, got {least:g} m/s")
         if inside.sum() < 2:
             count = inside.sum() or "no contact"
-            raise InputError(f"{where}: a {run.kind} needs 2 or more rows in the sand, got {count}")
+            what = "depths" if run.kind == "intrude" else "speeds"
+            raise InputError(
+                f"{where}: 2 or more rows must be in the sand, got {count}; "
+                f"{what} there are positive"
+            )
         rows = {name: values[inside] for name, values in measured.items()}
         mean = rows["force"].mean()
         if mean <= 0:
@@ -208,9 +212,12 @@ def _check_depth(depth: float, run: Run, where: str) -> None:
     if depth <= _DEEPEST * size:
         return
     what = f"{where}: a depth of {depth:.4g} m for a body of {size:.3g} m"
-    for unit, factor in _UNITS:
-        if depth * factor <= _DEEPEST * size:
-            raise InputError(f"{what} looks like {unit}: name the column 'depth [{unit}]'")
+    units = [unit for unit, factor in _UNITS if depth * factor <= _DEEPEST * size]
+    if units:
+        likely, name = " or ".join(units), f"name the column 'depth [{units[-1]}]'"
+        if run.depth is not None:
+            name = "the key depth is in m"
+        raise InputError(f"{what} looks like {likely}: {name}")
     raise InputError(f"{what} is not plausible: check the units")
 
 
@@ -225,6 +232,7 @@ _END = 0.1  # part of the rows over which the final depth is averaged; chosen
 _PLAUSIBLE = (0.02, 1.5)  # mean speed on the way down over that of a free fall; chosen, wide
 _OTHER_UNITS = (("depth", "mm", 1e-3, 1.0), ("depth", "cm", 1e-2, 1.0), ("time", "ms", 1.0, 1e-3))
 _TIMES = 200  # number of stopping times tried
+_VAGUE = 0.5  # part of a stopping time within which the rows must tell it; chosen
 _STAYS = 0.03  # parts of its range within which a curve counts as settled; chosen
 
 _STEPS = 100  # steps of a simulated record, and twice that; chosen by trials, see `simulate`
@@ -270,7 +278,7 @@ def find_arrest(since: np.ndarray, depth: np.ndarray) -> Arrest:
 
     With constant deceleration at the end, `d = D - a (T - t)^2 / 2` before the body stops: D, a and
     T are fitted to the last quarter of the path. If the body rolls over afterwards, only the part
-    before it rises again counts.
+    before it rises again counts. There is no time if noise or few rows leave it open.
     """
     count = max(1, round(_END * len(depth)))
     final = float(depth[-count:].mean())
@@ -285,15 +293,15 @@ def find_arrest(since: np.ndarray, depth: np.ndarray) -> Arrest:
     t, d = since[rows], depth[rows]
     if len(t) < 5:
         return Arrest(final)
-    best, at = math.inf, None
-    for stop in np.linspace(t[0], t[-1], _TIMES)[1:]:
+    stops, errors = np.linspace(t[0], t[-1], _TIMES)[1:], []
+    for stop in stops:
         basis = np.column_stack([np.ones(len(t)), np.maximum(stop - t, 0.0) ** 2])
         solution, *_ = np.linalg.lstsq(basis, d, rcond=None)
-        error = float(((basis @ solution - d) ** 2).sum())
-        if error < best:
-            best, at = error, stop
+        errors.append(float(((basis @ solution - d) ** 2).sum()))
+    at, least = float(stops[np.argmin(errors)]), min(errors)
+    alike = stops[np.array(errors) <= least * (1 + 4 / (len(t) - 3))]  # within two deviations
     last = t[-1] - 1.5 * (t[-1] - t[0]) / _TIMES
-    return Arrest(final, None if at is None or at >= last else float(at))
+    return Arrest(final, None if at >= last or np.ptp(alike) > _VAGUE * at else at)
 
 
 def check_units(time: np.ndarray, depth: np.ndarray, speed: float, size: float, where: str) -> None:
@@ -365,10 +373,15 @@ class DropTrial(Trial):
         measured = run.measured()
         time, depth = measured["time"], measured["depth"]
         check_record(time, depth, self._where)
+        falls = run.kind == "drop"  # a model starts at its first row
+        if falls and depth[-1] < min(depth[0], 0.0):
+            raise InputError(
+                f"{self._where}: the body ends {-depth[-1]:.4g} m above the sand: "
+                "depths are positive downward"
+            )
         if self._speed > 0 or run.body is not None:
             size = math.inf if run.body is None else run.body.size
             check_units(time, depth, self._speed, size, self._where)
-        falls = run.kind == "drop"  # a model starts at its first row
         self.touch = self._touch(time, depth) if falls else float(time[0])
         since = time - self.touch
         curves = [np.maximum(depth, 0.0)]

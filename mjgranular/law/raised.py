@@ -35,7 +35,9 @@ RATE = 0.26
 SHEAR_KEYS = ("shear", "rate_1", "rate_2", "rate_3")
 """Fields of a law's record that fast shear needs (`shear_constants`)."""
 
-_GROWTH = 0.1  # depth over which the cone forms, in widths; chosen
+CONE_FORMS = 0.1
+"""Depth over which the cone forms, in widths; chosen."""
+
 _PACKING = 0.59  # solid fraction of a loose bed: of the beds of `referee`
 _NO_STRESS = 1e-9  # stress that counts as zero [Pa]; chosen
 
@@ -69,7 +71,7 @@ def not_raised(law, facet, pose, centre, normal, up, mean, g):
 def raised_by_cone(law, facet, pose, centre, normal, up, mean, g):
     """Return the factor of stagnant sand; the law's record has `cone` [widths]."""
     down = -dot(normal, up)
-    least = _GROWTH * facet.face
+    least = CONE_FORMS * facet.face
     deep = choose(mean > least, mean, least)
     return 1.0 + law.cone * facet.flat * facet.face * choose(down > 0.0, down, 0.0) / deep
 

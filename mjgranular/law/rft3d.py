@@ -12,7 +12,7 @@ from mjgranular.errors import InputError, shown
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.vector import vector
 from mjgranular.law.law import register_law
-from mjgranular.law.raised import shear_constants
+from mjgranular.law.raised import CONE_FORMS, shear_constants
 from mjgranular.law.rft import RftLaw
 from mjgranular.medium import Medium
 from mjgranular.medium.stiffness import FRICTION_CUBIC, LEVEL_PLATE
@@ -221,6 +221,8 @@ class Rft3dLaw(RftLaw):
     ) -> Self:
         """Return the law with its stiffness calibrated by a flat plate pushed straight down.
 
+        With a `cone` the plate is a square, pushed slowly.
+
         Args:
             medium: source of density and frictions.
             force: measured resistance [N].
@@ -229,8 +231,10 @@ class Rft3dLaw(RftLaw):
             gravity: gravity at the measurement [m/s^2].
         """
         plain = cls.from_medium(medium)
-        scale = force / (LEVEL_PLATE * area * depth) / (plain.stiffness * gravity)
-        return replace(plain, scale=scale)
+        side = math.sqrt(area)
+        raised = 1.0 + plain.cone * side / max(depth, CONE_FORMS * side)
+        met = LEVEL_PLATE * area * depth * plain.stiffness * gravity * raised
+        return replace(plain, scale=plain.scale * force / met)
 
     @property
     def stiffness(self) -> float:

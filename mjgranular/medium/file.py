@@ -138,19 +138,21 @@ def _medium(content: Any) -> Medium:
     return Medium(
         name=_text("name", content["name"]),
         title=_text("title", content["title"]),
-        density=_quantity("density", content["density"]),
-        grain=None if grain is None else _quantity("grain", grain),
+        density=_quantity("density", content["density"], "kg/m^3", "kg/m³"),
+        grain=None if grain is None else _quantity("grain", grain, "m"),
         default_law=_text("default_law", content["default_law"]),
         constants=constants,
     )
 
 
-def _quantity(key: str, entry: Any) -> Quantity:
+def _quantity(key: str, entry: Any, *units: str) -> Quantity:
     if not isinstance(entry, dict) or "value" not in entry or "source" not in entry:
         raise InputError(
             f"{key} must be {{value: NUMBER, unit: UNIT, source: WHERE FROM}}, not {shown(entry)}"
         )
     unit = entry.get("unit")
+    if units and unit not in (None, "", *units):
+        raise InputError(f"{key} must be in {units[0]}, not {shown(unit)}: units do not convert")
     return Quantity(
         _number(f"{key}.value", entry["value"]),
         "" if unit is None else _text(f"{key}.unit", unit),

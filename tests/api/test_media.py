@@ -236,6 +236,8 @@ def changed(old, new):
         (EXAMPLE + "grain: {value: 3, unit: m, source: y}\n", "grain size must be from 1e-06 to 0"),
         (EXAMPLE + "grain: {value: .nan, unit: m, source: y}\n", "grain size must .* not nan"),
         (EXAMPLE + "grain: 3\n", "grain must be "),
+        (EXAMPLE + "grain: {value: 0.05, unit: cm, source: y}\n", "grain must be in m, not 'cm'"),
+        (changed("kg/m^3", "g/l"), "density must be in kg/m\\^3, not 'g/l'"),
         ("- sand\n- more sand\n", "a medium is a mapping with the keys name, title"),
         ("", "a medium is a mapping"),
         ("name: [", "is not YAML"),

@@ -13,6 +13,7 @@ from scipy.integrate import solve_ivp
 from mjgranular import InputError, Medium, Quantity, Rft3dLaw, calibrate
 from mjgranular.calibrate import Body, Fit, Run, read_fit, read_runs, run_fit, simulate
 from mjgranular.calibrate.intervals import correlation_time
+from mjgranular.calibrate.trial import find_arrest
 
 DATA = Path(__file__).resolve().parents[2] / "referee" / "data"
 MASS, STIFFNESS, QUADRATIC = 0.0692, 60.0, 0.8  # Katsuragi and Durian's sphere, about
@@ -107,6 +108,13 @@ def test_drops_of_one_speed_leave_a_null_direction():
     best = result.further[0]
     assert best.identifiable
     assert max(best.intervals.values()) < 0.3
+
+
+def test_added_mass_counts_as_resistance_by_speed():
+    fit = Fit((drop(1.0), drop(1.1)), RFT, ("strength", "added"), law="rft3d_dynamic")
+    result = run_fit(fit)
+    assert result.identifiable == {"strength": False, "added": False}
+    assert result.valleys[0].one_speed
 
 
 def test_density_and_friction_of_rft3d_are_known_by_their_product_alone():
@@ -231,6 +239,21 @@ def test_rows_that_count_for_one():
     # (1 + a)/(1 - a) of a first-order process
     times = [correlation_time(correlated(random, 2000, 0.8)) for _ in range(20)]
     assert np.mean(times) == pytest.approx(9.0, rel=0.2)
+
+
+def test_a_stop_that_the_frames_do_not_tell_is_none():
+    def stop(rate, noise, seed):
+        """A ball of constant deceleration, 10 mm in 20 ms."""
+        t = np.arange(0.0, 0.15, 1 / rate)
+        depth = 0.01 - 25.0 * np.maximum(0.02 - t, 0.0) ** 2
+        off = np.random.default_rng(seed).normal(0.0, noise, len(t))
+        return find_arrest(t, depth + off).time
+
+    assert stop(240, 0.0, 0) == pytest.approx(0.02, rel=0.05)
+    assert stop(2000, 3e-4, 0) == pytest.approx(0.02, rel=0.1)
+    found = [stop(240, 3e-4, seed) for seed in range(20)]
+    assert None in found
+    assert all(time == pytest.approx(0.02, rel=0.4) for time in found if time is not None)
 
 
 def test_a_record_that_begins_before_the_fall():

@@ -196,6 +196,7 @@ def test_a_set_of_ones_own(tmp_path):
         ({"table": "time [s],depth [m]\n0,x\n"}, InputError, "'x'"),
         ({"table": "time [s],depth [m]\n0,nan\n"}, InputError, "'nan'"),
         ({"table": "time [s],depth [m]\n0,0\n0,1\n"}, InputError, "grow"),
+        ({"table": "time [s],depth [m]\n0,-0.05\n0.1,0.02\n"}, InputError, "rows before the touch"),
         ({"table": ""}, InputError, "empty"),
         ({"table": "time,depth,t,depth [mm]\n0,0,0,0\n"}, InputError, "2 columns 'depth'"),
         (

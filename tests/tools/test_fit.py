@@ -177,6 +177,10 @@ DATA = {
     "no column 'depth'": changed(depth=lambda t, d: None, level=lambda t, d: d),
     "row 21": changed(time=back),
     "no contact": changed(depth=lambda t, d: -1e-3 - d),
+    "depths are positive downward": changed(depth=lambda t, d: 1e-3 - d),
+    "columns are separated by commas": lambda place: (place / "slow.csv").write_text(
+        "time;depth\n0;0\n0,01;1\n"
+    ),
     "at least 4 rows": lambda place: (place / "slow.csv").write_text(
         "time,depth\n0,0\n0.01,0.01\n"
     ),
@@ -198,6 +202,44 @@ def test_data_that_cannot_be(said, place, capsys):
     DATA[said](place)
     assert said in refused(capsys, *FREE, "--out", "m.yaml")
     assert not (place / "m.yaml").exists()
+
+
+@pytest.mark.parametrize("wrong", ["mass: 69.2", "diameter: 25.4", "diameter: 0.0127"])
+def test_a_body_that_no_material_makes(wrong, place, capsys):
+    text = (place / "runs.yaml").read_text()
+    key = wrong.split(":")[0]
+    right = {"mass": "mass: 0.0692", "diameter": "diameter: 0.0254"}[key]
+    (place / "runs.yaml").write_text(text.replace(right, wrong, 1))
+    assert main(["fit", "runs.yaml", *FREE]) == 0
+    said = " ".join(capsys.readouterr().err.split())
+    assert "warning: run 'slow': a sphere of" in said
+    assert "mass is in kg" in said
+
+
+def pushed(place, rows, **keys):
+    """Writes a file of one push or drag of a plate of 40 mm."""
+    keys = {"name": "plate", "kind": "intrude", "data": "plate.csv"} | keys
+    more = "".join(f", {key}: {value}" for key, value in keys.items())
+    body = "{shape: plate, length: 0.04, diameter: 0.004}"
+    (place / "runs.yaml").write_text(f"medium: {MEDIUM}\nruns:\n  - {{body: {body}{more}}}\n")
+    (place / "plate.csv").write_text(rows)
+
+
+def test_a_push_whose_depths_are_negative(place, capsys):
+    pushed(place, "depth,force\n-0.01,1\n-0.02,2\n")
+    assert "got no contact; depths there are positive" in refused(capsys, *FREE)
+
+
+def test_units_of_a_push(place, capsys):
+    pushed(place, "depth,force\n2,1\n5,2\n")
+    assert "looks like mm or cm: name the column 'depth [cm]'" in refused(capsys, *FREE)
+    pushed(place, "speed,force\n0.1,1\n0.2,2\n", kind="drag", depth=4.5)
+    assert "looks like mm or cm: the key depth is in m" in refused(capsys, *FREE)
+    pushed(place, "depth,force [g]\n0.01,1\n0.02,2\n")
+    assert "must be in one of N, mN, kN" in refused(capsys, *FREE)
+    pushed(place, "depth,force_mN\n0.01,500\n0.02,1000\n0.03,1500\n")
+    assert main(["fit", "runs.yaml", "--law", "depth_velocity", "--free", "stiffness"]) == 0
+    assert "50" in capsys.readouterr().out
 
 
 def test_a_column_that_occurs_twice(place, capsys):
