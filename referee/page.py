@@ -55,8 +55,8 @@ compared with.
 ## Errors in reports
 
 `report(data)[body].error` and `info["sand/error"]` give the worst trajectory error of the law in
-measured drops, pushes and drags at least as fast (by Froude number, in groups) and of bodies as
-thin in grains. They are `None` and 1 where nothing as fast was compared. A report gives no error
+a group of measured drops, pushes and drags: the slowest group that is at least as fast (by Froude
+number), of bodies as thin in grains. So it jumps when a fall slows down. They are `None` and 1 where nothing as fast was compared. A report gives no error
 for a body that turns in the sand, such as a leg or a wheel.
 
 ## Data
