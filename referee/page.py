@@ -56,8 +56,9 @@ compared with.
 
 `report(data)[body].error` and `info["sand/error"]` give the worst trajectory error of the law in
 a group of measured drops, pushes and drags: the slowest group that is at least as fast (by Froude
-number), of bodies as thin in grains. So it jumps when a fall slows down. They are `None` and 1 where nothing as fast was compared. A report gives no error
-for a body that turns in the sand, such as a leg or a wheel.
+number), of bodies as thin in grains. So it jumps when a fall slows down. They are `None` and 1
+where nothing as fast was compared. A report gives no error for a body that turns in the sand, such
+as a leg or a wheel.
 
 ## Data
 
