@@ -8,6 +8,9 @@ from mjgranular.experiment.impact import ImpactResult as ImpactResult
 from mjgranular.experiment.impact import Rest as Rest
 from mjgranular.experiment.impact import Stop as Stop
 from mjgranular.experiment.impact import run_impact as run_impact
+from mjgranular.experiment.intrusion import Intrusion as Intrusion
+from mjgranular.experiment.intrusion import IntrusionResult as IntrusionResult
+from mjgranular.experiment.intrusion import run_intrusion as run_intrusion
 from mjgranular.experiment.study import Between as Between
 from mjgranular.experiment.study import Study as Study
 from mjgranular.experiment.study import StudyResult as StudyResult
