@@ -1,7 +1,7 @@
 """Gymnasium environments on sand: Gymnasium's robots, and ours.
 
-Importing this registers the ids; `gymnasium.make("mjgranular.envs:mjgranular/ChainSwim-v0")` does
-both at once.
+Importing this registers the ids, as does `mjgranular` after `gymnasium`;
+`gymnasium.make("mjgranular:mjgranular/ChainSwim-v0")` does both at once.
 
 `ground` puts sand under a model; `robots` does so for Gymnasium's environments. A `Task` defines an
 environment, for any number of simulations at once; `SandEnv` runs one of them, `SandVectorEnv` many

@@ -13,6 +13,10 @@ from mjgranular._util import headless as _headless
 
 # isort: split
 
+from contextlib import suppress as _suppress
+from importlib import import_module as _import_module
+from sys import modules as _modules
+
 from mjgranular._util.checkout import add_checkout_folders as _add_checkout_folders
 from mjgranular._util.notebook import show as show
 from mjgranular._version import __version__ as __version__
@@ -58,3 +62,7 @@ from mjgranular.surface import Plane as Plane
 from mjgranular.surface import Surface as Surface
 
 _add_checkout_folders(__path__)
+
+if "gymnasium" in _modules:  # register the environments
+    with _suppress(MissingExtraError):
+        _import_module("mjgranular.envs")
