@@ -76,9 +76,9 @@ SHOWN = {
     "Hexapod": Shown("Hexapod-v0/ppo-0"),
     "Hopper": Shown("Hopper-v0/ppo-0"),
     "Ant": Shown("Ant-v0/ppo-0"),
-    "Go1": Shown("Go1Velocity-v0/ppo-0", seconds=9.0, begin=2.0, apart=3.0, count=3),
+    "Go1": Shown("Go1Velocity-v0/ppo-6", seconds=9.0, begin=2.0, apart=3.0, count=3),
     "Go2": Shown("Go2Velocity-v0/ppo-0", seconds=9.0, begin=2.0, apart=3.0, count=3),
-    "G1": Shown("G1Velocity-v0/ppo-0", seconds=9.0, begin=2.0, apart=3.0, count=3),
+    "G1": Shown("G1Velocity-v0/ppo-5", seconds=9.0, begin=2.0, apart=3.0, count=3),
 }
 
 
@@ -86,7 +86,8 @@ def environment(policy: Policy) -> Any:
     """The environment of a film; those of the Go1 and Go2 are larger, and their sand remembers."""
     name = policy.run.environment
     if name in FOLLOWING:
-        task = FOLLOWING[name](push_scale=0.0, memory=0.015)
+        history = policy.run.settings.environment.get("history", 0)
+        task = FOLLOWING[name](push_scale=0.0, memory=0.015, history=history)
         return SandEnv(task, render_mode="rgb_array", width=1280, height=720)
     size = {"width": WIDTH, "height": HEIGHT, "camera": None}
     arguments = dict(policy.run.settings.environment)
