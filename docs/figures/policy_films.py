@@ -76,7 +76,7 @@ SHOWN = {
     "Hexapod": Shown("Hexapod-v0/ppo-0"),
     "Hopper": Shown("Hopper-v0/ppo-0"),
     "Ant": Shown("Ant-v0/ppo-0"),
-    "Go1": Shown("Go1Velocity-v0/ppo-6", seconds=9.0, begin=2.0, apart=3.0, count=3),
+    "Go1": Shown("Go1Velocity-v0/ppo-0", seconds=9.0, begin=2.0, apart=3.0, count=3),
     "Go2": Shown("Go2Velocity-v0/ppo-0", seconds=9.0, begin=2.0, apart=3.0, count=3),
     "G1": Shown("G1Velocity-v0/ppo-5", seconds=9.0, begin=2.0, apart=3.0, count=3),
 }
