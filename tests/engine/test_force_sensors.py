@@ -377,8 +377,8 @@ def test_two_sands_are_both_felt() -> None:
         tune(model, data.plugin_state, "sand_2", active=active)
         mujoco.mj_forward(model, data)
         forces = [data.sensor(f"force of {sand} on foot").data for sand in ("sand", "sand_2")]
-        assert np.abs(forces[0]).max() > 10
-        assert (np.abs(forces[1]).max() > 10) == (active == 1)
+        assert np.abs(forces[0]).max() > 1
+        assert (np.abs(forces[1]).max() > 1) == (active == 1)
         expected = sum(forces) + own[2, :3]
         assert data.cfrc_ext[2, 3:] == pytest.approx(expected, rel=1e-12)
         assert data.xfrc_applied.tobytes() == own.tobytes()
