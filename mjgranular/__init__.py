@@ -64,5 +64,5 @@ from mjgranular.surface import Surface as Surface
 _add_checkout_folders(__path__)
 
 if "gymnasium" in _modules:  # register the environments
-    with _suppress(MissingExtraError):
+    with _suppress(ImportError):  # of an extra, or of a release that is too old
         _import_module("mjgranular.envs")

@@ -160,7 +160,7 @@ class SandRegistry:
                     "beds, say), or have the other one release(data) first"
                 )
         for other in self._members:
-            other.look_again()
+            other.forget_last()
         self._members[sand] = bodies, shared
 
     def remove(self, sand: Any, binding: Binding) -> None:
@@ -178,6 +178,8 @@ class SandRegistry:
         the last step are removed. So does one after a `Sand.step`, or a failure. All others that
         can be are solved together, and the rest acts before them.
         """
+        if len(self._shares) == 1 and self._shares[0] is binding:
+            return
         if any(
             share is binding or share.table[OFF] or share.snapshot.time != time
             for share in self._shares
@@ -226,4 +228,5 @@ _registries: weakref.WeakKeyDictionary[mujoco.MjData, SandRegistry] = weakref.We
 
 def registry_of(data: mujoco.MjData) -> SandRegistry:
     """Return the registry of the Sands that act on `data`; empty at first."""
-    return _registries.setdefault(data, SandRegistry())
+    found = _registries.get(data)
+    return _registries.setdefault(data, SandRegistry()) if found is None else found

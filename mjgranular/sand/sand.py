@@ -433,8 +433,8 @@ class Sand:
                 "it with mj_copyData; copy.copy(data) does both"
             )
 
-    def look_again(self) -> None:
-        """Look at a simulation again, even the last: another sand has come to act there."""
+    def forget_last(self) -> None:
+        """Forget which simulation came last: another sand acts there from now on."""
         self._recent = _NOBODY
 
     def _begin(self, data: mujoco.MjData) -> int:

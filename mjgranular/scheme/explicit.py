@@ -29,7 +29,7 @@ from mjgranular.scheme.layout import ARM, FORCE, LED, VELOCITY, WEIGHT, tile_siz
 from mjgranular.scheme.sampling import sampling_kernel
 from mjgranular.scheme.scheme import Scheme, schemes
 from mjgranular.scheme.status import BAD_STATE, FINE, check_options
-from mjgranular.scheme.wrenches import add_wrenches, is_bad, pose_at
+from mjgranular.scheme.wrenches import add_wrenches, find_bad_wrench, is_bad, pose_at
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,10 @@ def explicit_program(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
             write_motion(bodies[slot].wrench, 0, still())
         tile = room()
         sample_all(table, 0, tile.ctypes.data, 0, lead)
-        return add_wrenches(table)
+        bad = find_bad_wrench(table)
+        if bad < 0:
+            add_wrenches(table)
+        return bad
 
     return program
 

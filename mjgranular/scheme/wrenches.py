@@ -80,18 +80,14 @@ def find_bad_wrench(table):
 
 @compiled
 def add_wrenches(table):
-    """Add the bodies' wrenches to `xfrc_applied`, and remove those of the last call.
+    """Add the bodies' finite wrenches to `xfrc_applied`, and remove those of the last call.
 
     A row that still holds what the last call wrote is first restored to its value before that call.
     A row that does not has been written by the user since (or reset, or copied), and is taken as
-    the user's. Return -1, or the row in `bodies` of the first wrench that is not finite; then
-    nothing is written. Inside MuJoCo's step the table has no `xfrc_applied`, and nothing is done.
+    the user's. Inside MuJoCo's step the table has no `xfrc_applied`, and nothing is done.
     """
-    bad = find_bad_wrench(table)
-    if bad >= 0 or table[memory.XFRC] == 0:
-        return bad
     bodies = bodies_of(table)
-    for slot in range(len(bodies)):
+    for slot in range(len(bodies) if table[memory.XFRC] != 0 else 0):
         body = bodies[slot]
         row, untouched = row_of_body(table, body)
         for k in range(6):
@@ -99,7 +95,6 @@ def add_wrenches(table):
                 body.user_wrench[k] = row[k]
             row[k] = body.user_wrench[k] + body.wrench[k]
             body.last_wrench[k] = row[k]
-    return -1
 
 
 @compiled
