@@ -120,6 +120,18 @@ def test_the_hopper_hops_and_the_ant_runs():
     assert way("mjgranular/Ant-v0", load_policy("Ant-v0/ppo-0")) > 10.0
 
 
+def walk(policy, env, steps):
+    """Return velocities ahead, to the left and in yaw, after the first 50 steps; without a fall."""
+    observation, _ = env.reset(seed=0)
+    found = []
+    for step in range(steps):
+        (action,) = policy.act(observation[None], np.array([step]))
+        observation, _, terminated, _, info = env.step(action)
+        assert not terminated
+        found.append([*info["velocity"][:2], observation[5]])
+    return np.mean(found[50:], axis=0)
+
+
 @pytest.mark.usefixtures("robots")
 @pytest.mark.parametrize("ground", [{}, {"rigid": np.inf}])
 @pytest.mark.parametrize(
@@ -134,25 +146,11 @@ def test_a_robot_follows_commands_on_sand_and_on_a_floor(name, ground):
         names = ("command_x", "command_y", "command_yaw")
         fixed = {name: (value, value) for name, value in zip(names, command, strict=True)}
         env = SandEnv(robot(**fixed, push_scale=0.0, history=history, **ground))
-        observation, _ = env.reset(seed=0)
-        found = []
-        for step in range(150):
-            (action,) = policy.act(observation[None], np.array([step]))
-            observation, _, terminated, _, info = env.step(action)
-            assert not terminated
-            found.append([*info["velocity"][:2], observation[5]])
-        assert np.mean(found[50:], axis=0) == pytest.approx(command, abs=0.15)
+        assert walk(policy, env, 150) == pytest.approx(command, abs=0.15)
 
 
 @pytest.mark.usefixtures("robots")
 def test_a_robot_on_two_legs_gets_ahead_without_a_fall():
     policy = load_policy("G1Velocity-v0/ppo-5")
     env = SandEnv(StraightG1(command_x=(0.5, 0.5), push_scale=0.0, history=4))
-    observation, _ = env.reset(seed=0)
-    ahead = []
-    for step in range(250):
-        (action,) = policy.act(observation[None], np.array([step]))
-        observation, _, terminated, _, info = env.step(action)
-        assert not terminated
-        ahead.append(info["velocity"][0])
-    assert 0.2 < np.mean(ahead[50:]) < 0.6
+    assert 0.2 < walk(policy, env, 250)[0] < 0.6

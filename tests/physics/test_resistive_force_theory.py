@@ -546,7 +546,7 @@ def test_calibration_by_one_measurement():
 @pytest.mark.parametrize("law", [Rft3dLaw, DynamicRft3dLaw])
 @pytest.mark.parametrize("depth", [0.003, 0.05])
 def test_a_calibrated_law_meets_the_measured_force(law, depth):
-    """In a medium with a scale of its own, and with a cone under the plate."""
+    """In a medium that has a scale, and with a cone under the plate."""
     made = law.calibrated(media["poppy_seed_loose"], force=7.0, area=SIDE**2, depth=depth)
     plate = body(box(SIDE, SIDE, THICK))
     at = [0, 0, THICK / 2 - depth]
