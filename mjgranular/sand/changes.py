@@ -14,6 +14,7 @@ _SHAPES = ("geom_type", "geom_size", "geom_pos", "geom_quat")
 _GEOMS = (*_SHAPES, "geom_bodyid", "geom_dataid")
 _BODIES = ("body_pos", "body_quat", "body_parentid", "body_jntnum", "body_dofadr", "body_dofnum")
 _JOINTS = ("jnt_type", "jnt_pos", "jnt_axis", "jnt_bodyid")
+_FIELDS = ("hfield_size", "hfield_nrow", "hfield_ncol")
 _MESHES = ("mesh_vert", "mesh_face", "mesh_vertadr", "mesh_faceadr")
 
 
@@ -64,8 +65,10 @@ class Original:
             raise _changed(f"{name} of {kind} {whose} ({then[row]} then, {now[row]} now)")
 
     def _digests(self, model: mujoco.MjModel) -> dict[str, bytes]:
-        meshes = (model.geom_type[self._geoms] == mujoco.mjtGeom.mjGEOM_MESH).any()
-        names = (*_JOINTS, *(_MESHES if meshes else ()))
+        kinds = model.geom_type[self._geoms]
+        meshes = _MESHES if mujoco.mjtGeom.mjGEOM_MESH in kinds else ()
+        fields = _FIELDS if mujoco.mjtGeom.mjGEOM_HFIELD in kinds else ()
+        names = (*_JOINTS, *meshes, *fields)
         return {name: hashlib.blake2b(getattr(model, name).tobytes()).digest() for name in names}
 
 

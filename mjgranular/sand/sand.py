@@ -471,6 +471,8 @@ class Sand:
             binding = self._bindings[data]
         advice = f"a time step below {self._options.timestep:g} s may do better"
         if failed >= 0:
+            if not np.isfinite(model.hfield_data).all():
+                advice = "heights in hfield_data must be finite"
             return UnstableError(
                 f"the sand's force on body {body_name(model, binding.bodies[failed]['body'])} is "
                 f"not finite at {self._moment(data.time)}: the state has left reason; {advice}"

@@ -125,8 +125,8 @@ class Plane(Surface):
                 raise InputError(f"the plane's {name} must be finite, not {shown(value)}")
         if abs(self.slope) >= math.pi / 2:
             raise InputError(
-                f"the plane's slope must be less than 90 degrees (pi/2 = 1.5708 rad), "
-                f"not {self.slope:.4f} rad"
+                f"the plane's slope must be less than 90 degrees (pi/2 = 1.5708 rad), not "
+                f"{self.slope:g} rad: {self.slope:g} degrees are {math.radians(self.slope):.4g}"
             )
         if abs(self.uphill) > 2 * math.pi:
             raise InputError(
@@ -338,12 +338,9 @@ class HeightField(Surface):
     def tilt(self, model: mujoco.MjModel) -> float:
         field = self.record(model)[0]
         number = int(model.geom_dataid[self.geoms(model)[0]])
-        start = int(model.hfield_adr[number])
-        count = field["rows"] * field["columns"]
-        heights = model.hfield_data[start : start + count].reshape(field["rows"], field["columns"])
-        heights = heights * field["elevation"]
+        heights = model.hfield(number).data * field["elevation"]
         with np.errstate(invalid="ignore"):  # heights may be set later
             dy = np.diff(heights, axis=0) / (2 * field["half_y"] / (field["rows"] - 1))
             dx = np.diff(heights, axis=1) / (2 * field["half_x"] / (field["columns"] - 1))
-        steepest = math.atan(math.hypot(np.abs(dx).max(), np.abs(dy).max()))
-        return steepest + tilt_of(field["axes"].reshape(3, 3)[:, 2], model)
+        corners = [np.hypot(x, y) for x in (dx[:-1], dx[1:]) for y in (dy[:, :-1], dy[:, 1:])]
+        return math.atan(np.max(corners)) + tilt_of(field["axes"].reshape(3, 3)[:, 2], model)

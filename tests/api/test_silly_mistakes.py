@@ -235,7 +235,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     "nothing for height": (lambda: mg.Plane(height=None), "the plane's height must be finite"),
     "degrees for slope": (
         lambda: mg.Plane(slope=30),
-        "the plane's slope must be less than 90 degrees",
+        "less than 90 degrees (pi/2 = 1.5708 rad), not 30 rad: 30 degrees are 0.5236",
     ),
     "degrees for uphill": (
         lambda: mg.Plane(slope=0.2, uphill=90),

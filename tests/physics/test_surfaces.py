@@ -24,6 +24,7 @@ from mjgranular import (
     Rft3dLaw,
     Sand,
     UnknownNameError,
+    UnstableError,
     media,
 )
 from mjgranular.kernel.vector import read_vector
@@ -499,6 +500,15 @@ def test_heights_may_change_while_it_runs(law):
     )
     assert expected.any()
     assert wrench(sand, *state) == pytest.approx(expected, rel=1e-5)
+    model.hfield_size[0, 2] = 0.4
+    with pytest.raises(InputError, match="hfield_size was changed after Sand was made"):
+        sand.check()
+
+
+def test_heights_that_are_no_numbers_are_named():
+    model = dunes(np.full((4, 5), np.nan))
+    with pytest.raises(UnstableError, match="hfield_data must be finite"):
+        Sand(model, law="rft3d", surface=FIELD, scheme="explicit").step(mujoco.MjData(model))
 
 
 def test_dunes_are_no_obstacle():
@@ -538,6 +548,12 @@ def test_tilt_of_a_height_field():
     x, y = np.meshgrid(np.linspace(-1, 1, 6), np.linspace(-0.6, 0.6, 5))
     model = dunes(1 + 0.3 * x + 0.4 * y, elevation=2.0)
     assert FIELD.tilt(model) == pytest.approx(math.atan(0.5), abs=1e-6)
+    # In each cell the steepest place is a corner.
+    model = dunes(drawn_heights(3, 4, seed=5))
+    near = [np.add.outer(np.linspace(-a, a, n)[1:-1], [-1e-9, 1e-9]) for a, n in ((1, 4), (0.6, 3))]
+    x, y = ([-a, *inner.ravel(), a] for a, inner in zip((1, 0.6), near, strict=True))
+    rises = [probe(FIELD, model, (u, v, 0))[1][2] for u in x for v in y]
+    assert FIELD.tilt(model) == pytest.approx(math.acos(min(rises)), abs=1e-6)
 
 
 # All of them
