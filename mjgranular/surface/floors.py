@@ -7,13 +7,14 @@ import mujoco
 import numpy as np
 
 from mjgranular.shape.sizes import geom_name, geom_type
+from mjgranular.surface.place import up_of
 from mjgranular.surface.surface import Plane, Surface
 
 SKIN = 1e-3
 """Depth below the sand's surface up to which ground carries what stands on it [m]; chosen."""
 
 _STEEP = 0.5
-"""Vertical component of a contact's normal from which on it carries; chosen: a wall is steeper."""
+"""Component against gravity from which on a contact's normal carries; chosen: walls have less."""
 
 _TOLD = 4  # maximum number of geoms named in a message
 _FLOOR, _SAND = 4, 5  # geom groups of the model that rays are cast in
@@ -22,8 +23,8 @@ _FLOOR, _SAND = 4, 5  # geom groups of the model that rays are cast in
 def find_floors(model: mujoco.MjModel, geoms: Sequence[int], surface: Surface) -> list[int]:
     """Return the ids of geoms of the world that bodies stand on at or above the sand's surface.
 
-    From each geom that meets the sand, at `qpos0`, rays are cast down along the surface's normal:
-    to the sand, and to what is fixed to the world and collides with that geom. Ground that is hit
+    From each geom that meets the sand, at `qpos0`, rays are cast down, along the normal of a plane,
+    to the sand and to what is fixed to the world and collides with that geom. Ground that is hit
     before the sand carries the geom.
     """
     sand = surface.geoms(model)
@@ -41,7 +42,7 @@ def find_floors(model: mujoco.MjModel, geoms: Sequence[int], surface: Surface) -
     rays.geom_group[list(sand)] = _SAND
     data = mujoco.MjData(rays)
     mujoco.mj_kinematics(rays, data)
-    down = np.array([0.0, 0.0, -1.0]) if plane is None else -plane.normal
+    down = -up_of(model) if plane is None else -plane.normal
     found = set()
     for geom, against in zip(geoms, meets, strict=True):
         if not against.any():
@@ -73,7 +74,7 @@ class FloorWatch:
     """
 
     def __init__(self, model: mujoco.MjModel, geoms: Sequence[int], surface: Surface) -> None:
-        sand = surface.geoms(model)
+        sand, self._model = surface.geoms(model), model
         self._meets = np.zeros(model.ngeom, bool)
         self._meets[list(geoms)] = True
         self._fixed = np.array(
@@ -88,7 +89,7 @@ class FloorWatch:
         contact = data.contact
         pairs = contact.geom
         acts = (contact.efc_address >= 0) & (pairs >= 0).all(axis=1)  # a flex has no geom
-        acts &= np.abs(contact.frame[:, 2]) > _STEEP
+        acts &= np.abs(contact.frame[:, :3] @ up_of(self._model)) > _STEEP
         for pair in pairs[acts]:
             for floor, geom in (pair, pair[::-1]):
                 if self._fixed[floor] and self._meets[geom]:

@@ -74,8 +74,13 @@ def world_pose(model: mujoco.MjModel, geom: int) -> tuple[np.ndarray, np.ndarray
     return data.geom_xpos[geom].copy(), data.geom_xmat[geom].reshape(3, 3).copy()
 
 
-def tilt_of(normal: np.ndarray, model: mujoco.MjModel) -> float:
-    """Return the angle of a unit normal from the vertical [rad]: from gravity, or z without it."""
+def up_of(model: mujoco.MjModel) -> np.ndarray:
+    """Return the unit vector against gravity, or z without it."""
     gravity = model.opt.gravity
-    up = -gravity / np.linalg.norm(gravity) if gravity.any() else np.array([0.0, 0.0, 1.0])
+    return -gravity / np.linalg.norm(gravity) if gravity.any() else np.array([0.0, 0.0, 1.0])
+
+
+def tilt_of(normal: np.ndarray, model: mujoco.MjModel) -> float:
+    """Return the angle of a unit normal from the vertical [rad]."""
+    up = up_of(model)
     return math.atan2(float(np.linalg.norm(np.cross(normal, up))), float(normal @ up))

@@ -11,7 +11,7 @@ from mjgranular.cli import main
 from mjgranular.cli.view import ViewCommand
 from mjgranular.errors import FloorWarning
 from mjgranular.shape import select_geoms
-from mjgranular.surface.floors import find_floors
+from mjgranular.surface.floors import FloorWatch, find_floors
 
 SAND = {"medium": "quikrete_medium"}
 BALL = '<body name="ball" pos="{x} 0 0.5"><freejoint/><geom name="ball" size="0.1"/></body>'
@@ -67,6 +67,18 @@ CASES = {
 def test_what_carries_is_found(case):
     ground, surface, carries = CASES[case]
     assert floors(world(ground, assets=FIELD), surface) == (["floor"] if carries else [])
+
+
+def test_down_is_where_gravity_pulls():
+    turned = f'<body quat="1 1 0 0">{geom("plane", pos="0 0 0.3")}{BED}</body>'
+    ball = BALL.format(x=0).replace("0 0 0.5", "0 -0.39 0")
+    xml = f'<mujoco><option gravity="0 9.81 0"/><worldbody>{turned}{ball}</worldbody></mujoco>'
+    model = mujoco.MjModel.from_xml_string(xml)
+    assert floors(model, Bed("bed")) == ["floor"]
+    data, watch = mujoco.MjData(model), FloorWatch(model, [model.ngeom - 1], Bed("bed"))
+    mujoco.mj_forward(model, data)
+    watch.look(data)
+    assert watch.floors == {model.geom("floor").id}
 
 
 @pytest.mark.parametrize("z", [0.0, -0.05, -0.09])
