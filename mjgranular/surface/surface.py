@@ -148,10 +148,7 @@ class Plane(Surface):
         return self.height * math.cos(self.slope)
 
     def record(self, model: mujoco.MjModel) -> np.ndarray:
-        plane = np.zeros(1, PLANE_DTYPE)
-        plane["normal"] = self.normal
-        plane["offset"] = self.offset
-        return plane
+        return np.array([(self.normal, self.offset)], PLANE_DTYPE)
 
     def lift(self, model: mujoco.MjModel) -> Mapping[str, np.ndarray]:
         return {"offset": np.ones(())}
@@ -215,12 +212,8 @@ class Bed(Surface):
         position, axes = world_pose(model, geom)
         half = model.geom_size[geom]
         check_extents(f"the bed {self.geom!r}", half)
-        bed = np.zeros(1, BED_DTYPE)
-        bed["top"] = position + half[2] * axes[:, 2]
-        bed["along"], bed["across"], bed["normal"] = axes.T
-        bed["thickness"] = 2 * half[2]
-        bed["half_along"], bed["half_across"] = half[:2]
-        return bed
+        top = position + half[2] * axes[:, 2]
+        return np.array([(top, *axes.T, *half[:2], 2 * half[2])], BED_DTYPE)
 
     def geoms(self, model: mujoco.MjModel) -> tuple[int, ...]:
         return (find_geom(model, self.geom, mujoco.mjtGeom.mjGEOM_BOX, "bed"),)
@@ -316,13 +309,8 @@ class HeightField(Surface):
                 "too many for hfield_data: leave hfield_nrow and hfield_ncol as they were compiled"
             )
         check_extents(f"the height field of geom {self.geom!r}", (half_x, half_y, elevation))
-        field = np.zeros(1, HEIGHT_FIELD_DTYPE)
-        field["position"] = position
-        field["axes"] = axes.ravel()
-        field["half_x"], field["half_y"], field["elevation"] = half_x, half_y, elevation
-        field["rows"], field["columns"] = rows, columns
-        field["data"] = model.hfield_data[start:].ctypes.data
-        return field
+        numbers = (half_x, half_y, elevation, rows, columns, model.hfield_data[start:].ctypes.data)
+        return np.array([(position, axes.ravel(), *numbers)], HEIGHT_FIELD_DTYPE)
 
     def geoms(self, model: mujoco.MjModel) -> tuple[int, ...]:
         return (find_geom(model, self.geom, mujoco.mjtGeom.mjGEOM_HFIELD, "height field"),)
