@@ -1,5 +1,6 @@
-"""Export policies to ONNX, for robots and other simulators."""
+"""Export policies to ONNX and safetensors, for robots and other simulators."""
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -35,13 +36,7 @@ def export_onnx(policy: Policy, file: str | Path) -> Path:
     """
     onnx = require("onnx", extra="onnx", purpose="Exporting a policy")
     reference = require("onnx.reference", extra="onnx", purpose="Exporting a policy")
-    check_kind(policy, Policy, "export_onnx", "load_policy(...)")
-    file = Path(file)
-    if file.exists():
-        raise OutputError(f"{file} exists already: choose another name")
-    for space in (policy.model.observation_space, policy.model.action_space):
-        if type(space).__name__ != "Box" or len(space.shape) != 1:
-            raise InputError(f"only rows of numbers (Box spaces) can be exported, not {space}")
+    file = _check(policy, file)
     model = _model_of(onnx, policy)
     observations = _observations_of(policy)
     (actions,) = reference.ReferenceEvaluator(model).run(None, {"observations": observations})
@@ -55,17 +50,57 @@ def export_onnx(policy: Policy, file: str | Path) -> Path:
     return file
 
 
-def _model_of(onnx: Any, policy: Policy) -> Any:
-    """Return what `Policy.act` computes, as a model of ONNX."""
-    make, nodes, constants = onnx.helper, [], {}
-    low, high = policy.model.action_space.low, policy.model.action_space.high
+def export_safetensors(policy: Policy, file: str | Path) -> Path:
+    """Write the numbers of a policy as safetensors, and what they are as JSON beside them.
 
-    def add(kind: str, *inputs: Any, **attributes: Any) -> None:
-        names = [nodes[-1].output[0] if nodes else "observations"]
-        for value in inputs:
-            names.append(f"constant_{len(constants)}")
-            constants[names[-1]] = np.asarray(value, np.float32)
-        nodes.append(make.make_node(kind, names, [f"value_{len(nodes)}"], **attributes))
+    The JSON file has the same name with the suffix .json: the environment, its sand, versions, and
+    `operations`, a list of names of ONNX operators in their order, from observations to actions.
+    Constants of operation i are the tensors "i.0", "i.1"; those of a `Gemm` are weight and bias.
+
+    Args:
+        policy: the policy, from `load_policy`.
+        file: the file to write; neither it nor the JSON file must exist yet.
+
+    Raises:
+        MissingExtraError: the extra `onnx` is not installed.
+        InputError: observations or actions are not rows of numbers, or a layer is unknown.
+        OutputError: a file exists or cannot be written.
+    """
+    tensors = require("safetensors.numpy", extra="onnx", purpose="Exporting a policy")
+    file = _check(policy, file)
+    described = _check(policy, file.with_suffix(".json"))
+    operations = _operations_of(policy)
+    numbers = {
+        f"{i}.{k}": np.ascontiguousarray(value)
+        for i, (_, values) in enumerate(operations)
+        for k, value in enumerate(values)
+    }
+    content = policy.run.config() | {"operations": [name for name, _ in operations]}
+    with atomic_write(described) as part:
+        part.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+    with atomic_write(file) as part:
+        part.write_bytes(tensors.save(numbers))
+    return file
+
+
+def _check(policy: Policy, file: str | Path) -> Path:
+    """Check that a policy can be exported to a file."""
+    check_kind(policy, Policy, "an export", "load_policy(...)")
+    file = Path(file)
+    if file.exists():
+        raise OutputError(f"{file} exists already: choose another name")
+    for space in (policy.model.observation_space, policy.model.action_space):
+        if type(space).__name__ != "Box" or len(space.shape) != 1:
+            raise InputError(f"only rows of numbers (Box spaces) can be exported, not {space}")
+    return file
+
+
+def _operations_of(policy: Policy) -> list[tuple[str, list[np.ndarray]]]:
+    """Return what `Policy.act` computes: names of ONNX operators, each with its constants."""
+    found: list[tuple[str, list[np.ndarray]]] = []
+
+    def add(name: str, *values: Any) -> None:
+        found.append((name, [np.asarray(value, np.float32) for value in values]))
 
     normalizer = policy.normalizer
     if normalizer.observations:
@@ -75,18 +110,32 @@ def _model_of(onnx: Any, policy: Policy) -> Any:
     for layer in _layers_of(policy.model):
         kind = type(layer).__name__
         if kind == "Linear":
-            weight, bias = (each.detach().numpy() for each in (layer.weight, layer.bias))
-            add("Gemm", weight, bias, transB=1)
+            add("Gemm", layer.weight.detach().numpy(), layer.bias.detach().numpy())
         elif kind in _ACTIVATIONS:
             add(_ACTIVATIONS[kind])
         else:
             raise InputError(f"a policy with a {kind} layer cannot be exported")
+    low, high = policy.model.action_space.low, policy.model.action_space.high
     if policy.model.squash_output:  # to between -1 and 1
         add("Mul", (high - low) / 2)
         add("Add", (high + low) / 2)
     add("Max", low)
     add("Min", high)
-    nodes[-1].output[0] = "actions"
+    return found
+
+
+def _model_of(onnx: Any, policy: Policy) -> Any:
+    """Return what `Policy.act` computes, as a model of ONNX."""
+    make, nodes, tensors = onnx.helper, [], []
+    before = "observations"
+    operations = _operations_of(policy)
+    for i, (name, values) in enumerate(operations):
+        names = [f"{i}.{k}" for k in range(len(values))]
+        tensors += [onnx.numpy_helper.from_array(*each) for each in zip(values, names, strict=True)]
+        after = "actions" if i == len(operations) - 1 else f"value_{i}"
+        options = {"transB": 1} if name == "Gemm" else {}
+        nodes.append(make.make_node(name, [before, *names], [after], **options))
+        before = after
     ends = [
         make.make_tensor_value_info(name, onnx.TensorProto.FLOAT, ["n", *space.shape])
         for name, space in (
@@ -94,7 +143,6 @@ def _model_of(onnx: Any, policy: Policy) -> Any:
             ("actions", policy.model.action_space),
         )
     ]
-    tensors = [onnx.numpy_helper.from_array(value, name) for name, value in constants.items()]
     graph = make.make_graph(nodes, policy.run.environment, ends[:1], ends[1:], tensors)
     opset = make.make_opsetid("", _OPSET)
     model = make.make_model(graph, opset_imports=[opset], producer_name="mjgranular")

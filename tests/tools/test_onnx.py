@@ -1,6 +1,7 @@
-"""Policies as ONNX models: the same actions, from the same observations."""
+"""Exported policies: the same actions, from the same observations."""
 
 import errno
+import json
 from pathlib import Path
 
 import gymnasium as gym
@@ -8,9 +9,10 @@ import numpy as np
 import onnx
 import pytest
 from onnx.reference import ReferenceEvaluator
+from safetensors.numpy import load_file
 
 from mjgranular.errors import InputError, OutputError
-from mjgranular.learn.onnx import export_onnx
+from mjgranular.learn.onnx import export_onnx, export_safetensors
 from mjgranular.learn.policies import Policy, load_policy
 from mjgranular.learn.run import begin_run
 from mjgranular.learn.settings import change, find_settings
@@ -33,9 +35,29 @@ def trained(folder, algorithm: str, *changes: str) -> Policy:
     return load_policy(run.path)
 
 
+def from_numbers(file):
+    """Return a function that acts by the operations and numbers of a file of safetensors."""
+    tensors, described = load_file(file), json.loads(file.with_suffix(".json").read_text())
+    does = {
+        "Sub": np.subtract, "Div": np.divide, "Mul": np.multiply, "Add": np.add, "Clip": np.clip,
+        "Max": np.maximum, "Min": np.minimum, "Tanh": np.tanh, "Relu": lambda x: np.maximum(x, 0),
+        "Elu": lambda x: np.where(x > 0, x, np.expm1(np.minimum(x, 0))),
+        "Gemm": lambda x, weight, bias: x @ weight.T + bias,
+    }  # fmt: skip
+
+    def act(observations):
+        x = observations.astype(np.float32)
+        for i, name in enumerate(described["operations"]):
+            x = does[name](x, *(tensors[key] for key in (f"{i}.0", f"{i}.1") if key in tensors))
+        return x
+
+    return act
+
+
 def check_actions(policy: Policy, file) -> None:
-    """Drive an environment's observations through both."""
+    """Drive an environment's observations through all three."""
     model = ReferenceEvaluator(onnx.load(file))
+    by_hand = from_numbers(export_safetensors(policy, file.with_suffix(".safetensors")))
     observations: list[np.ndarray] = []
     with gym.make(policy.run.environment) as env:
         observations.append(env.reset(seed=1)[0])
@@ -45,7 +67,9 @@ def check_actions(policy: Policy, file) -> None:
             observations.append(env.step(action[0])[0])
     rows = np.stack(observations)
     (actions,) = model.run(None, {"observations": rows.astype(np.float32)})
-    np.testing.assert_allclose(actions, policy.act(rows, np.arange(len(rows))), atol=2e-5)
+    expected = policy.act(rows, np.arange(len(rows)))
+    np.testing.assert_allclose(actions, expected, atol=2e-5)
+    np.testing.assert_allclose(by_hand(rows), expected, atol=2e-5)
 
 
 @pytest.mark.parametrize(
@@ -75,7 +99,14 @@ def test_nothing_is_overwritten(tmp_path):
     file.write_text("mine")
     with pytest.raises(OutputError, match="exists"):
         export_onnx(load_policy("Hopper-v0/ppo-0"), file)
-    assert file.read_text() == "mine"
+    with pytest.raises(OutputError, match="exists"):
+        export_safetensors(load_policy("Hopper-v0/ppo-0"), file)
+    described = tmp_path / "other.json"
+    described.write_text("mine")
+    with pytest.raises(OutputError, match="exists"):
+        export_safetensors(load_policy("Hopper-v0/ppo-0"), tmp_path / "other.safetensors")
+    assert file.read_text() == described.read_text() == "mine"
+    assert len(list(tmp_path.iterdir())) == 2
 
 
 def test_a_full_disk_leaves_no_file(tmp_path, monkeypatch):
