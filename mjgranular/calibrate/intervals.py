@@ -246,9 +246,9 @@ def further_tests(
 
 def _candidates(trials: Sequence[Trial]) -> Iterator[tuple[str, Run]]:
     """Yield tests with the available bodies, with descriptions."""
-    drops = [t for t in trials if type(t) is DropTrial]
+    drops = [t for t in trials if isinstance(t, DropTrial)]
     pushes = [t for t in trials if isinstance(t, PushTrial)]
-    bodies = [t.run.body for t in (*drops, *pushes) if t.run.body is not None]
+    bodies = [t.run.body for t in (*drops, *pushes)]
     if not bodies:
         return
     body = bodies[0]
