@@ -36,7 +36,7 @@ from mjgranular.medium.file import read_outline_file
 LARGEST = 1_000_000
 """Size up to which a file is read [bytes]; chosen."""
 
-_NUMBERS = ("speed", "touch", "depth", "angle", "height")
+_NUMBERS = ("speed", "depth", "angle", "height")
 _RUN_KEYS = ("name", "kind", "data", "body", "columns", *_NUMBERS)
 _MEASURED_KEYS = ("name", "kind", "data", "body", "columns", "speed", "depth", "angle")
 _BODY_KEYS = ("shape", "diameter", "length", "mass", "density")

@@ -137,7 +137,6 @@ class Run:
         body: the body that meets the sand.
         speed: downward, when the lowest point touches the sand, or of a push [m/s].
         angle: initial angle of the body's axis from the vertical [rad].
-        touch: time of the record at which the lowest point touches the sand [s]; None to find it.
         depth: depth of a drag [m].
         columns: headings in the file of columns with other names, by column name.
 
@@ -153,7 +152,6 @@ class Run:
     body: Body
     speed: float | None = None
     angle: float = 0.0
-    touch: float | None = None
     depth: float | None = None
     columns: Mapping[str, str] = field(default_factory=dict)
 
@@ -162,7 +160,7 @@ class Run:
             raise UnknownNameError("kind of run", self.kind, get_args(FitKind))
         where = f"run {shown(self.name)}"
         check_kind(self.body, Body, where)
-        for name in ("speed", "touch", "depth"):
+        for name in ("speed", "depth"):
             value = getattr(self, name)
             if value is not None and not is_finite(value):
                 raise InputError(f"{where}: {name} must be a finite number, got {shown(value)}")

@@ -25,7 +25,6 @@ from mjgranular.scheme import Implicit
 
 _POINTS = 41  # points at which the force of a smooth path is computed; linear in between
 _PUSH_SPEED = 0.01  # default speed of a push [m/s]: slow
-_UNITS = (("mm", 1e-3), ("cm", 1e-2))
 _DEEPEST = 20.0  # depth of a push, at most, in largest extents of the body; chosen, wide
 
 _FORCES = ("force", "side", "lift")
@@ -133,7 +132,12 @@ class PushTrial(Trial):
         where = f"run {shown(run.name)}"
         measured = run.measured()
         inside = measured["depth"] > 0 if run.kind == "intrude" else measured["speed"] > 0
-        _check_depth(run.depth or measured["depth"].max(), run, where)
+        deepest, size = run.depth or measured["depth"].max(), run.body.size
+        if deepest > _DEEPEST * size:
+            raise InputError(
+                f"{where}: a depth of {deepest:.4g} m for a body of {size:.3g} m is implausible: "
+                "the key depth is in m; name the unit of a column, such as 'depth [mm]'"
+            )
         if run.kind == "drag" and not inside.all():
             least = measured["speed"].min()
             raise InputError(f"{where}: speeds of a drag must be positive, got {least:g} m/s")
@@ -198,31 +202,14 @@ def _series(columns: dict[str, np.ndarray | None]) -> tuple[Series, ...]:
     )
 
 
-def _check_depth(depth: float, run: Run, where: str) -> None:
-    """Check that a depth is plausible in meters; guess the unit if not."""
-    size = run.body.size
-    if depth <= _DEEPEST * size:
-        return
-    what = f"{where}: a depth of {depth:.4g} m for a body of {size:.3g} m"
-    units = [unit for unit, factor in _UNITS if depth * factor <= _DEEPEST * size]
-    if units:
-        likely, name = " or ".join(units), f"name the column 'depth [{units[-1]}]'"
-        if run.depth is not None:
-            name = "the key depth is in m"
-        raise InputError(f"{what} looks like {likely}: {name}")
-    raise InputError(f"{what} is not plausible: check the units")
-
-
 # Dropped bodies: depth, and optionally pitch, over time
 
 GRAVITY = 9.81  # as for all dropped bodies (models/link.xml) [m/s^2]
 
 _BEGINNING = 0.1  # part of the depth within which a fall is nearly uniform; chosen
 _NEAR_STOP = 0.75  # part of the depth beyond which a stop is searched; chosen
-_USUAL = 0.6  # ratio of `_PLAUSIBLE` for a body with constant deceleration
 _END = 0.1  # part of the rows over which the final depth is averaged; chosen
 _PLAUSIBLE = (0.02, 1.5)  # mean speed on the way down over that of a free fall; chosen, wide
-_OTHER_UNITS = (("depth", "mm", 1e-3, 1.0), ("depth", "cm", 1e-2, 1.0), ("time", "ms", 1.0, 1e-3))
 _TIMES = 200  # number of stopping times tried
 _VAGUE = 0.5  # part of a stopping time within which the rows must tell it; chosen
 _STAYS = 0.03  # parts of its range within which a curve counts as settled; chosen
@@ -297,33 +284,19 @@ def find_arrest(since: np.ndarray, depth: np.ndarray) -> Arrest:
 
 
 def check_units(time: np.ndarray, depth: np.ndarray, speed: float, size: float, where: str) -> None:
-    """Check that depths and times are plausible in meters and seconds; guess the unit if not."""
+    """Check that depths and times are plausible in meters and seconds."""
     greatest = float(depth.max())
     near = np.flatnonzero(depth >= 0.9 * greatest)[0]
     begin = np.flatnonzero(depth[: near + 1] <= _BEGINNING * greatest)
     took = float(time[near] - time[begin[-1] if len(begin) else 0])
     took = max(took, float(np.diff(time).min()))
+    of_free_fall = 0.9 * greatest / (speed * took + GRAVITY * took**2 / 2)
     low, high = _PLAUSIBLE
-
-    def ratio(meter: float = 1.0, second: float = 1.0) -> float:
-        """Return the mean speed over that of a free fall, with other units of the file."""
-        t = took * second
-        return 0.9 * greatest * meter / (speed * t + GRAVITY * t**2 / 2)
-
-    if low <= ratio() <= high and greatest <= 50 * size:
-        return
-    guesses = [
-        (abs(math.log(ratio(meter, second) / _USUAL)), f"{column} [{unit}]")
-        for column, unit, meter, second in _OTHER_UNITS
-        if low < ratio(meter, second) < high and greatest * meter < 20 * size
-    ]
-    hint = "check the units of time, depth and speed"
-    if guesses:
-        column = min(guesses)[1]
-        hint = f"it looks like {column.split('[')[1][:-1]}; name the column '{column}'"
-    raise InputError(
-        f"{where}: {greatest:.4g} m deep after {took:.3g} s at {speed:g} m/s is implausible: {hint}"
-    )
+    if not low <= of_free_fall <= high or greatest > 50 * size:
+        raise InputError(
+            f"{where}: {greatest:.4g} m deep after {took:.3g} s at {speed:g} m/s is implausible: "
+            "name units, such as 'depth [mm]' and 'time [ms]', and check the speed"
+        )
 
 
 def settling(since: np.ndarray, values: np.ndarray) -> float:
@@ -372,7 +345,7 @@ class DropTrial(Trial):
                 "depths are positive downward"
             )
         check_units(time, depth, self._speed, run.body.size, self._where)
-        self.touch = self._touch(time, depth)
+        self.touch = find_touch(time, depth, self._speed)
         since = time - self.touch
         curves = [np.maximum(depth, 0.0)]
         curves += [measured["pitch"]] if "pitch" in measured else []
@@ -388,29 +361,17 @@ class DropTrial(Trial):
             self.series += (Series("pitch", pitch[used], scale),)
         self.arrest = find_arrest(self.places - self.touch, depth[used])
         self._simulator = self._make_simulator(float(self.places[-1] - self.touch))
-        if run.touch is None and self._speed > 0:  # it is fitted with the constants
+        if self._speed > 0:  # it is fitted with the constants
             off = max(_TOUCH * float(depth.max()) / self._speed, float(np.median(np.diff(time))))
             self.shift, self.shift_range = self.touch, (self.touch - off, self.touch + off)
-
-    def _touch(self, time: np.ndarray, depth: np.ndarray) -> float:
-        touch = self.run.touch
-        if touch is None:
-            return find_touch(time, depth, self._speed)
-        if not time[0] - (time[-1] - time[0]) <= touch < time[-1]:
-            raise InputError(
-                f"{self._where}: the touch at {touch} s is not in {time[0]:g} to {time[-1]:g} s"
-            )
-        return touch
 
     def _check_pitch(self, first: float) -> None:
         """Check the first pitch [degrees] against the angle of the run."""
         angle = round(math.degrees(self.run.angle), 9)
         if abs(first - angle) > 10:
-            hint = "both are that of the axis from the vertical"
-            if abs(math.degrees(first) - angle) < 10:
-                hint = "it looks like radians; name the column 'pitch [rad]'"
             raise InputError(
-                f"{self._where}: the angle is {angle:g} and the first pitch {first:.3g} deg: {hint}"
+                f"{self._where}: the angle is {angle:g} and the first pitch {first:.3g} degrees: "
+                "both are that of the axis from the vertical; a column in radians is 'pitch [rad]'"
             )
 
     def _make_simulator(self, duration: float) -> Simulator:
@@ -480,8 +441,7 @@ _KEPT = 64  # outcomes that are kept
 class Problem:
     """Unknown constants and touches, and residuals of the runs.
 
-    The unknowns are the free constants, then the touch time of each drop whose record does not have
-    it.
+    The unknowns are the free constants, then the touch time of each drop.
     """
 
     def __init__(
