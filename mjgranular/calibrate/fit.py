@@ -12,14 +12,12 @@ from mjgranular._util.extras import require
 from mjgranular.calibrate.intervals import (
     COLLINEAR,
     WIDE,
-    FurtherTest,
     Information,
     NullDirection,
-    further_tests,
     spread_of,
     trades_off,
 )
-from mjgranular.calibrate.material import STRENGTH, Material
+from mjgranular.calibrate.material import Material
 from mjgranular.calibrate.motion import Errors
 from mjgranular.calibrate.runs import Body, MeasuredRun, Run
 from mjgranular.calibrate.trial import DropTrial, Problem, PushTrial, RowsTrial, Trial
@@ -140,7 +138,6 @@ class FitResult:
         identifiable: whether the data determine the constant separately from the others.
         at_bound: names of the constants that ended on a bound of the law.
         valleys: null directions, in which constants trade off against each other.
-        further: the most useful further tests, the best first; empty if all is identifiable.
         runs: errors of the fitted runs, by name.
         held_out: errors of the predicted runs, by name.
         curves: measured and predicted curves, by the names of runs.
@@ -157,7 +154,6 @@ class FitResult:
     identifiable: Mapping[str, bool]
     at_bound: tuple[str, ...]
     valleys: tuple[NullDirection, ...]
-    further: tuple[FurtherTest, ...]
     runs: Mapping[str, Errors]
     held_out: Mapping[str, Errors]
     curves: Mapping[str, tuple[Curve, ...]] = field(repr=False)
@@ -174,7 +170,6 @@ class FitResult:
             "intervals": {name: list(ends) for name, ends in self.intervals.items()},
             "at_bound": list(self.at_bound),
             "valleys": [asdict(direction) for direction in self.valleys],
-            "further_tests": [asdict(test) for test in self.further],
             "runs": {name: asdict(errors) for name, errors in self.runs.items()},
             "held_out": {name: asdict(errors) for name, errors in self.held_out.items()},
             "constants": self.material.constants(),
@@ -283,11 +278,6 @@ def _result(
     one_speed = trades_off(problem.trials, material, names)
     flat = (information.collinear() >= COLLINEAR) | one_speed
     good = ~flat & (relative <= WIDE)
-    further = ()
-    if not good.all():
-        # Strength is a factor on the fitted material.
-        steps = np.where(np.array(names) == STRENGTH, 1.0, scale)
-        further = further_tests(problem, material, information, relative, steps)
     runs, held_out, curves = {}, {}, {}
     for name, trial in trials.items():
         outcome = trial.simulate(material)
@@ -314,7 +304,6 @@ def _result(
         identifiable={name: bool(good[k]) for k, name in enumerate(names)},
         at_bound=tuple(name for k, name in enumerate(names) if held[k]),
         valleys=information.null_directions(names, one_speed) if flat.any() else (),
-        further=further,
         runs=runs,
         held_out=held_out,
         curves=curves,
