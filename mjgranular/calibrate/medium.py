@@ -1,7 +1,7 @@
 """The medium before a fit, and the one that results from it."""
 
 import math
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable
 from dataclasses import MISSING, asdict, fields, replace
 from pathlib import Path
 from typing import Any, get_type_hints
@@ -11,8 +11,8 @@ from mjgranular._util.io import place
 from mjgranular._util.parse import parse_number
 from mjgranular.calibrate.fit import FitResult
 from mjgranular.calibrate.material import DENSITY, STRENGTH
-from mjgranular.errors import GranularError, InputError, shown
-from mjgranular.law import Law, law_in, laws
+from mjgranular.errors import InputError, shown
+from mjgranular.law import DistributedLinkLaw, Law, LinkLaw, law_in, laws
 from mjgranular.medium import Medium, Quantity, get_medium
 
 _MEDIUM_KEYS = ("base", "name", "title", "density", "grain")
@@ -40,7 +40,7 @@ def known_medium(
     constants = {} if base is None else {k: dict(v) for k, v in base.constants.items()}
     density = given.get("density") or (base and base.density)
     assert density is not None
-    key = _table(kind, constants)
+    key = _table(kind)
     own = {} if base is None else _constants_of(kind, base)
     numbers = _numbers_of(kind)
     own |= {k: q for k, q in given.items() if k in numbers}
@@ -122,30 +122,16 @@ def _numbers_of(kind: type[Law]) -> list[str]:
     return [field.name for field in every if hints[field.name] in (float, int)]
 
 
-def _table(kind: type[Law], constants: Mapping[str, Mapping[str, Quantity]]) -> str:
+def _table(kind: type[Law]) -> str:
     """Return the law name of a medium's constants: the law's own, or that of one with the same."""
-    if kind.name in constants:
-        return kind.name
-    dummy = {
-        field.name: Quantity(1.0, "", "")
-        for field in fields(kind)  # pyright: ignore[reportArgumentType]
-        if field.default is MISSING
-    }
-    density = Quantity(1500.0, "kg/m^3", "")
-    for key in (kind.name, *laws):
-        try:
-            kind.from_medium(Medium("any", "any", density, key, {key: dummy}))
-        except GranularError:
-            continue
-        return key
-    return kind.name
+    return LinkLaw.name if issubclass(kind, DistributedLinkLaw) else kind.name
 
 
 def _constants_of(kind: type[Law], medium: Medium) -> dict[str, Quantity]:
     """Return a medium's constants of a law, with their values."""
     key = medium.key_for(kind.name)
     if key is None:
-        return dict(medium.constants.get(_table(kind, medium.constants), {}))
+        return dict(medium.constants.get(_table(kind), {}))
     law = kind.from_medium(medium)
     return {
         name: replace(quantity, value=getattr(law, name))
@@ -157,7 +143,7 @@ def fitted_medium(result: FitResult, name: str, *, source: str = "") -> Medium:
     """Return the fitted medium: free constants with intervals, the others unchanged."""
     material, start = result.material, result.start
     before, kind = start.medium, type(material.law)
-    key = _table(kind, before.constants)
+    key = _table(kind)
     known = _constants_of(kind, before)
     constants = {}
     for constant, value in material.constants().items():
