@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mjgranular._util.checks import kind_of
-from mjgranular._util.tables import html_table
 from mjgranular.errors import InputError, UnknownNameError, listed, one_line, shown
 
 # From snow to tungsten powder, from dust to gravel: a value outside has a wrong unit.
@@ -104,22 +103,11 @@ class Medium:
             )
 
     def __repr__(self) -> str:
-        """Return a short form; `_repr_html_` and `mjgranular list media NAME` have the numbers."""
+        """Return a short form; `mjgranular list media NAME` has the numbers."""
         return (
             f"Medium({shown(self.name)}: {one_line(self.title)}, {self.density.value:g} kg/m^3, "
             f"laws {listed(self.laws)})"
         )
-
-    def _repr_html_(self) -> str:
-        """Return all numbers with their sources, for notebooks."""
-        general = {"density": self.density, **({"grain": self.grain} if self.grain else {})}
-        rows = [
-            (law, key, quantity.value, quantity.unit, quantity.source)
-            for law, constants in {"": general, **self.constants}.items()
-            for key, quantity in constants.items()
-        ]
-        headings = ("law", "constant", "value", "unit", "source")
-        return html_table(f"{self.name}: {self.title}", headings, rows)
 
     @property
     def laws(self) -> tuple[str, ...]:
