@@ -1,19 +1,17 @@
 """The medium before a fit, and the one that results from it."""
 
-import math
-from collections.abc import Collection, Iterable
 from dataclasses import MISSING, asdict, fields, replace
 from pathlib import Path
 from typing import Any, get_type_hints
 
 from mjgranular._util.extras import require
 from mjgranular._util.io import place
-from mjgranular._util.parse import parse_number
 from mjgranular.calibrate.fit import FitResult
 from mjgranular.calibrate.material import DENSITY, STRENGTH
-from mjgranular.errors import InputError, shown
+from mjgranular.errors import InputError
 from mjgranular.law import DistributedLinkLaw, Law, LinkLaw, law_in, laws
 from mjgranular.medium import Medium, Quantity, get_medium
+from mjgranular.medium.file import check_mapping, number
 
 _MEDIUM_KEYS = ("base", "name", "title", "density", "grain")
 
@@ -63,29 +61,6 @@ def known_medium(
         )
     except InputError as error:
         raise InputError(f"{place(path)}: {error}") from None
-
-
-def check_mapping(
-    entry: Any, where: str, keys: Collection[str], *, needed: Iterable[str] = ()
-) -> None:
-    """Check that an entry of a file is a mapping with known keys."""
-    known = ", ".join(keys)
-    if not isinstance(entry, dict):
-        raise InputError(f"{where} must be a mapping with {known}, got {shown(entry)}")
-    for key in entry:
-        if key not in keys:
-            raise InputError(f"{where} has no key {shown(key)}; there are: {known}")
-    for key in needed:
-        if entry.get(key) is None:
-            raise InputError(f"{where} needs {key}")
-
-
-def number(value: Any, key: str) -> float:
-    """Return a finite number from a file."""
-    found = parse_number(value) if isinstance(value, str) else None
-    if found is None or not math.isfinite(found):
-        raise InputError(f"{key} must be a number, without its unit, got {shown(value)}")
-    return found
 
 
 def _given(entry: dict[str, Any], kind: type[Law], where: str, source: str) -> dict[str, Quantity]:

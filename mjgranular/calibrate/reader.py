@@ -25,13 +25,13 @@ import numpy as np
 
 from mjgranular._util.io import place, read_file
 from mjgranular.calibrate.fit import Fit
-from mjgranular.calibrate.medium import check_mapping, known_medium, number
+from mjgranular.calibrate.medium import known_medium
 from mjgranular.calibrate.motion import Motion
 from mjgranular.calibrate.runs import COLUMNS, Body, Kind, MeasuredRun, Run, RunSet, read_table
 from mjgranular.calibrate.trial import GRAVITY
 from mjgranular.errors import InputError, UnknownNameError, shown
 from mjgranular.law import Law, Rft3dLaw
-from mjgranular.medium.file import read_outline_file
+from mjgranular.medium.file import check_mapping, number, read_outline_file
 
 LARGEST = 1_000_000
 """Size up to which a file is read [bytes]; chosen."""

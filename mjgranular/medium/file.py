@@ -1,6 +1,8 @@
 """Media by their names, and from YAML files."""
 
+import math
 import re
+from collections.abc import Collection, Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -114,15 +116,7 @@ def read_medium(path: str | Path) -> Medium:
 
 
 def _medium(content: Any) -> Medium:
-    if not isinstance(content, dict):
-        raise InputError(f"a medium is a mapping with the keys {', '.join(_REQUIRED)}")
-    known = {*_REQUIRED, "grain"}
-    for key in _REQUIRED:
-        if key not in content:
-            raise InputError(f"the key {key!r} is missing; needed: {', '.join(_REQUIRED)}")
-    for key in content:
-        if key not in known:
-            raise InputError(f"no key {shown(key)} in a medium; there are: {sorted(known)}")
+    check_mapping(content, "a medium", (*_REQUIRED, "grain"), needed=_REQUIRED)
     if not isinstance(content["constants"], dict):
         raise InputError("constants must map names of laws to their constants")
     constants = {}
@@ -153,19 +147,33 @@ def _quantity(key: str, entry: Any, *units: str) -> Quantity:
     if units and unit not in (None, "", *units):
         raise InputError(f"{key} must be in {units[0]}, not {shown(unit)}: units do not convert")
     return Quantity(
-        _number(f"{key}.value", entry["value"]),
+        number(entry["value"], f"{key}.value"),
         "" if unit is None else _text(f"{key}.unit", unit),
         _text(f"{key}.source", entry["source"]),
     )
 
 
-def _number(key: str, value: Any) -> float:
-    """Parse a number in Python's notation, or YAML's .inf or .nan."""
-    plain = str(value).lower().replace(".inf", "inf").replace(".nan", "nan")
-    number = parse_number(plain) if isinstance(value, str) else None
-    if number is None:
-        raise InputError(f"{key} must be a number, not {shown(value)}")
-    return number
+def check_mapping(
+    entry: Any, where: str, keys: Collection[str], *, needed: Iterable[str] = ()
+) -> None:
+    """Check that an entry of a file is a mapping with known keys."""
+    known = ", ".join(keys)
+    if not isinstance(entry, dict):
+        raise InputError(f"{where} must be a mapping with {known}")  # it may be any file's content
+    for key in entry:
+        if key not in keys:
+            raise InputError(f"{where} has no key {shown(key)}; there are: {known}")
+    for key in needed:
+        if entry.get(key) is None:
+            raise InputError(f"{where} needs {key}")
+
+
+def number(value: Any, key: str) -> float:
+    """Return a finite number from a file."""
+    found = parse_number(value) if isinstance(value, str) else None
+    if found is None or not math.isfinite(found):
+        raise InputError(f"{key} must be a number, without its unit, got {shown(value)}")
+    return found
 
 
 def _text(key: str, value: Any) -> str:

@@ -65,10 +65,11 @@ class Medium:
         if not isinstance(self.name, str) or not self.name.strip():
             raise InputError(f"a medium has a name such as 'my_sand', not {kind_of(self.name)}")
         medium = f"medium {shown(self.name)}"
-        if not isinstance(self.constants, Mapping):
+        tables = [self.constants, *getattr(self.constants, "values", tuple)()]
+        if not all(isinstance(table, Mapping) for table in tables):
             raise InputError(
                 f"{medium}: constants are a table of laws, {{'rft3d': {{name: Quantity(...)}}}}, "
-                f"not {kind_of(self.constants)}"
+                f"not {shown(self.constants)}"
             )
         sizes = [("bulk density", self.density, _DENSITIES, "kg/m^3")]
         if self.grain is not None:
@@ -83,11 +84,6 @@ class Medium:
                     f"{medium}: the {what} must be from {low:g} to {high:g} {unit}, not {one.value}"
                 )
         for law, constants in self.constants.items():
-            if not isinstance(constants, Mapping):
-                raise InputError(
-                    f"{medium}: constants of {law} are a table, {{name: Quantity(...)}}, not "
-                    f"{kind_of(constants)}"
-                )
             for key, quantity in constants.items():
                 if not isinstance(quantity, Quantity):
                     raise InputError(
