@@ -109,6 +109,5 @@ class ResultFolder:
         return [name for name in names if is_plain_name(name)] if isinstance(names, list) else []
 
     def write(self, name: str, fill: Callable[[Path], object]) -> None:
-        """Write a file atomically."""
         with files.atomic_write((self._waiting or self.path) / name) as part:
             fill(part)

@@ -90,7 +90,6 @@ class Fit:
 
     @property
     def material(self) -> Material:
-        """Law and medium to start from."""
         return Material.of(get_medium(self.medium), self.law)
 
     def config(self) -> dict[str, Any]:

@@ -68,7 +68,6 @@ class Body:
 
     @property
     def projectile(self) -> Projectile:
-        """The body as a projectile."""
         length = self.diameter if self.length is None else self.length
         plain = Projectile(length, self.diameter, 1.0, self.shape)
         density = self.density or _STEEL
@@ -202,7 +201,6 @@ class Run:
         return found
 
     def config(self) -> dict[str, Any]:
-        """Return the run in plain values."""
         given = isinstance(self.data, Mapping)
         return _plain(self, data="given" if given else self.data)
 
@@ -274,7 +272,6 @@ class MeasuredRun:
             raise InputError(f"{shown(self.shape)}: a walk needs a keyframe to start from")
 
     def config(self) -> dict[str, Any]:
-        """Return the run in plain values, without its motion."""
         return _plain(self, motion=None)
 
     @property

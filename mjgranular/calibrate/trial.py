@@ -63,7 +63,6 @@ class Trial(ABC):
 
     @property
     def rows(self) -> int:
-        """Number of measured values."""
         return sum(len(series.values) for series in self.series)
 
     @abstractmethod
@@ -498,7 +497,6 @@ class Problem:
         return self._outcomes[key]
 
     def residual(self, x: np.ndarray) -> np.ndarray:
-        """Return the residuals of all runs, one after the other."""
         parts = []
         for k, outcome in enumerate(self.outcomes(x)):
             trial = self.trials[k]

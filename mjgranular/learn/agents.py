@@ -18,9 +18,7 @@ class Agent(Protocol):
     `steps` are the numbers of steps since the episodes began, shape (n,).
     """
 
-    def act(self, observations: np.ndarray, steps: np.ndarray) -> np.ndarray:
-        """Return the actions."""
-        ...
+    def act(self, observations: np.ndarray, steps: np.ndarray) -> np.ndarray: ...
 
 
 @dataclass(frozen=True)
