@@ -226,8 +226,8 @@ def _check_bodies(runs: Sequence[Run | MeasuredRun]) -> None:
             density, (low, high) = body.projectile.density, _DENSITIES
             if not low <= density <= high:
                 warn_user(
-                    f"run {shown(run.name)}: a {body.describe()} has {density:.3g} kg/m^3: "
-                    "mass is in kg, diameter and length are in m",
+                    f"run {shown(run.name)}: the {body.shape} has {density:.3g} kg/m^3: mass is in "
+                    "kg, diameter and length are in m",
                     RangeWarning,
                 )
 

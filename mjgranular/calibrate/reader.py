@@ -1,13 +1,7 @@
 """Files of measured runs: a YAML file that describes them, next to a CSV file per run.
 
-    medium: {density: 1469, internal_friction: 0.35, surface_friction: 0.45, grain: 0.003}
-    runs:
-      - {name: slow, kind: drop, body: {shape: sphere, diameter: 0.0254, mass: 0.0692},
-         speed: 1.0, data: slow.csv}
-      - {name: leg, kind: turn, body: {file: leg.xml}, speed: 0.2, data: leg.csv}
-
-docs/calibration.md has all keys. At `qpos0` of a body from an MJCF file its lowest point is at the
-surface; for a turning leg, the hip is at its height.
+docs/calibration.md has all keys, and an example. At `qpos0` of a body from an MJCF file its lowest
+point is at the surface; for a turning leg, the hip is at its height.
 
 A set of runs that laws are scored against is a folder with such a file, `runs.yaml`, and
 `about.json`: `title`, `source`, the `marks` of runs by name, and the names of runs that are

@@ -80,13 +80,6 @@ class Body:
         """Largest extent [m]."""
         return max(self.diameter, self.length or 0.0)
 
-    def describe(self) -> str:
-        size = f"{self.diameter * 1e3:g} mm"
-        if self.length is not None and self.shape != "sphere":
-            size = f"{self.length * 1e3:g} x {size}"
-        weight = f", {self.projectile.mass * 1e3:.3g} g" if self.is_heavy else ""
-        return f"{self.shape} of {size}{weight}"
-
 
 FitKind = Literal["drop", "intrude", "drag"]
 Kind = Literal["drop", "intrude", "drag", "turn", "roll", "sink", "walk"]

@@ -204,7 +204,7 @@ def test_a_body_that_no_material_makes(wrong, place, capsys):
     (place / "runs.yaml").write_text(text.replace(right, wrong, 1))
     assert main(["fit", "runs.yaml", *FREE]) == 0
     said = " ".join(capsys.readouterr().err.split())
-    assert "warning: run 'slow': a sphere of" in said
+    assert "warning: run 'slow': the sphere has" in said
     assert "mass is in kg" in said
 
 
