@@ -1,8 +1,7 @@
 """Attack the package with random models: all laws, surfaces, schemes, and memory.
 
     python scripts/attack.py --models 1000 --seed 0 --jobs 16
-    python scripts/attack.py --only steps --seed 7 --case 123            # repeat one case
-    python scripts/attack.py --only steps --seed 7 --case 123 --shrink   # find a smaller model
+    python scripts/attack.py --only steps --seed 7 --case 123   # repeat one case
 
 `steps` checks each step of both interfaces, `twins` that equivalent descriptions of a model move
 alike.
@@ -98,17 +97,6 @@ def repeat(options: argparse.Namespace) -> bool:
         return True
     faulthandler.enable()
     row = attempt(name, options, number)
-    if options.shrink and row["failures"]:
-        from attacks.shrink import smaller
-
-        check = next(iter(row["failures"]))
-
-        def fails(part: Any) -> bool:
-            with contextlib.suppress(Exception):  # mostly a model that MuJoCo cannot compile
-                return check in attack.run(part).failures
-            return False
-
-        case = smaller(case, fails)
     print(case.describe())
     print(json.dumps(row, indent=2))
     return not row["failures"]
@@ -228,7 +216,6 @@ def parse() -> argparse.Namespace:
     add("--seed", type=int, default=0)
     add("--first", type=int, default=0, help="number of the first case")
     add("--case", type=int, help="run this one in this process")
-    add("--shrink", action="store_true", help="with --case: find a smaller model that fails")
     add("--jobs", type=int, default=os.cpu_count(), help="number of processes")
     add("--limit", type=float, default=1800.0, help="seconds of a case, which may compile")
     add("--steps", type=int, default=STEPS, help="of each model")

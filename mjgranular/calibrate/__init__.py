@@ -3,7 +3,6 @@
 from mjgranular.calibrate.fit import Fit as Fit
 from mjgranular.calibrate.fit import FitResult as FitResult
 from mjgranular.calibrate.fit import run_fit as run_fit
-from mjgranular.calibrate.intervals import FurtherTest as FurtherTest
 from mjgranular.calibrate.motion import Errors as Errors
 from mjgranular.calibrate.motion import Motion as Motion
 from mjgranular.calibrate.motion import compare as compare

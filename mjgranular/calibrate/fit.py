@@ -12,17 +12,15 @@ from mjgranular._util.extras import require
 from mjgranular.calibrate.intervals import (
     COLLINEAR,
     WIDE,
-    FurtherTest,
     Information,
     NullDirection,
-    further_tests,
     spread_of,
     trades_off,
 )
-from mjgranular.calibrate.material import STRENGTH, Material
+from mjgranular.calibrate.material import Material
 from mjgranular.calibrate.motion import Errors
 from mjgranular.calibrate.runs import Body, MeasuredRun, Run
-from mjgranular.calibrate.trial import DropTrial, ModelTrial, Problem, PushTrial, RowsTrial, Trial
+from mjgranular.calibrate.trial import DropTrial, Problem, PushTrial, RowsTrial, Trial
 from mjgranular.errors import (
     InputError,
     RangeWarning,
@@ -92,7 +90,6 @@ class Fit:
 
     @property
     def material(self) -> Material:
-        """Law and medium to start from."""
         return Material.of(get_medium(self.medium), self.law)
 
     def config(self) -> dict[str, Any]:
@@ -140,7 +137,6 @@ class FitResult:
         identifiable: whether the data determine the constant separately from the others.
         at_bound: names of the constants that ended on a bound of the law.
         valleys: null directions, in which constants trade off against each other.
-        further: the most useful further tests, the best first; empty if all is identifiable.
         runs: errors of the fitted runs, by name.
         held_out: errors of the predicted runs, by name.
         curves: measured and predicted curves, by the names of runs.
@@ -157,7 +153,6 @@ class FitResult:
     identifiable: Mapping[str, bool]
     at_bound: tuple[str, ...]
     valleys: tuple[NullDirection, ...]
-    further: tuple[FurtherTest, ...]
     runs: Mapping[str, Errors]
     held_out: Mapping[str, Errors]
     curves: Mapping[str, tuple[Curve, ...]] = field(repr=False)
@@ -174,7 +169,6 @@ class FitResult:
             "intervals": {name: list(ends) for name, ends in self.intervals.items()},
             "at_bound": list(self.at_bound),
             "valleys": [asdict(direction) for direction in self.valleys],
-            "further_tests": [asdict(test) for test in self.further],
             "runs": {name: asdict(errors) for name, errors in self.runs.items()},
             "held_out": {name: asdict(errors) for name, errors in self.held_out.items()},
             "constants": self.material.constants(),
@@ -222,7 +216,7 @@ def run_fit(fit: Fit, *, progress: Progress | None = None) -> FitResult:
 def _trial(run: Run | MeasuredRun) -> Trial:
     if isinstance(run, MeasuredRun):
         return RowsTrial(run)
-    return {"drop": DropTrial, "model": ModelTrial}.get(run.kind, PushTrial)(run)
+    return DropTrial(run) if run.kind == "drop" else PushTrial(run)
 
 
 def _check_bodies(runs: Sequence[Run | MeasuredRun]) -> None:
@@ -232,8 +226,8 @@ def _check_bodies(runs: Sequence[Run | MeasuredRun]) -> None:
             density, (low, high) = body.projectile.density, _DENSITIES
             if not low <= density <= high:
                 warn_user(
-                    f"run {shown(run.name)}: a {body.describe()} has {density:.3g} kg/m^3: "
-                    "mass is in kg, diameter and length are in m",
+                    f"run {shown(run.name)}: the {body.shape} has {density:.3g} kg/m^3: mass is in "
+                    "kg, diameter and length are in m",
                     RangeWarning,
                 )
 
@@ -283,11 +277,6 @@ def _result(
     one_speed = trades_off(problem.trials, material, names)
     flat = (information.collinear() >= COLLINEAR) | one_speed
     good = ~flat & (relative <= WIDE)
-    further = ()
-    if not good.all():
-        # Strength is a factor on the fitted material.
-        steps = np.where(np.array(names) == STRENGTH, 1.0, scale)
-        further = further_tests(problem, material, information, relative, steps)
     runs, held_out, curves = {}, {}, {}
     for name, trial in trials.items():
         outcome = trial.simulate(material)
@@ -314,7 +303,6 @@ def _result(
         identifiable={name: bool(good[k]) for k, name in enumerate(names)},
         at_bound=tuple(name for k, name in enumerate(names) if held[k]),
         valleys=information.null_directions(names, one_speed) if flat.any() else (),
-        further=further,
         runs=runs,
         held_out=held_out,
         curves=curves,

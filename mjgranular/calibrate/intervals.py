@@ -17,17 +17,15 @@ for example. With four runs or more, each is omitted in turn, to first order (th
 the interval is at least the spread between runs.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
 
 from mjgranular._util.extras import require
 from mjgranular.calibrate.material import Material
-from mjgranular.calibrate.runs import Body, Run
-from mjgranular.calibrate.trial import GRAVITY, DropTrial, Problem, PushTrial, Trial, find_arrest
-from mjgranular.errors import GranularError
+from mjgranular.calibrate.trial import Trial
 
 _FLAT = 1e-4  # singular value below which a direction is flat: no measurement is that good; chosen
 _LEAST_FLAT = 0.05  # least part of a flat direction; chosen
@@ -121,25 +119,6 @@ WIDE = 0.5
 
 _OTHER_SPEED = 1.5  # least ratio of two different speeds; chosen
 _TAKES_PART = 0.15  # least part in a null direction, relative to its largest; chosen
-_FASTEST = 6.0  # a fall of 1.8 m [m/s]
-_OTHER = 3.0  # factor for faster, slower, heavier; chosen
-_SHOWN = 4
-_ROWS = 60  # rows of a planned record
-
-
-@dataclass(frozen=True)
-class FurtherTest:
-    """A proposed test, and what it would add according to the fitted law.
-
-    Attributes:
-        what: describes the test.
-        intervals: half widths of the resulting intervals, in parts of each value.
-        identifiable: whether all constants would be identifiable.
-    """
-
-    what: str
-    intervals: Mapping[str, float]
-    identifiable: bool
 
 
 @dataclass(frozen=True)
@@ -211,106 +190,3 @@ class Information:
             effect = 0.1 * float(np.sqrt(max(v @ self.matrix @ v, 0.0)))
             found.append(NullDirection(change, effect, one_speed))
         return tuple(found)
-
-
-def further_tests(
-    problem: Problem, material: Material, now: Information, half: np.ndarray, scale: np.ndarray
-) -> tuple[FurtherTest, ...]:
-    """Propose further tests, simulated with the fitted law; the most useful first."""
-    names = problem.free
-    before = np.sqrt(np.diag(now.inverse))
-    # From derivatives to intervals, as in the fit.
-    unit = float(np.median(np.where(np.isfinite(half), half, 0.1) / before))
-    found = []
-    for what, run in _candidates(problem.trials):
-        try:
-            trial = _planned(run, material)
-            planned = Problem([trial], material, names)
-            jacobian = planned.jacobian(planned.start())
-        except GranularError:
-            continue  # for example, the law has no elements for that body
-        # Strength is a factor on the fitted material.
-        added = Information.of(jacobian, np.where(scale != 0, scale, 1.0))
-        both = Information(now.matrix + added.matrix)
-        after = unit * np.sqrt(np.diag(both.inverse))
-        good = (
-            not trades_off((*problem.trials, trial), material, names)
-            and bool((both.collinear() < COLLINEAR).all())
-            and bool((after <= WIDE).all())
-        )
-        width = {name: float(w) for name, w in zip(names, after, strict=True)}
-        found.append((float(np.max(after)), FurtherTest(what, width, good)))
-    found.sort(key=lambda pair: (not pair[1].identifiable, pair[0]))
-    return tuple(test for _, test in found[:_SHOWN])
-
-
-def _candidates(trials: Sequence[Trial]) -> Iterator[tuple[str, Run]]:
-    """Yield tests with the available bodies, with descriptions."""
-    drops = [t for t in trials if type(t) is DropTrial]
-    pushes = [t for t in trials if isinstance(t, PushTrial)]
-    bodies = [t.run.body for t in (*drops, *pushes) if t.run.body is not None]
-    if not bodies:
-        return
-    body = bodies[0]
-    if body.is_heavy:
-        yield from _drops(drops, body)
-    depths = [float(t.arrest.depth) for t in drops]
-    depths += [float(t.places.max()) if t.run.depth is None else t.run.depth for t in pushes]
-    depth = max(min(depths), 0.2 * body.diameter)
-    plain = replace(body, mass=None, density=None)
-    size = plain.describe()
-    if not any(t.axis == "depth" for t in pushes):
-        slow = "pushed down slowly, force against depth"
-        yield f"the {size} {slow}", _push(plain, depth)
-        if plain.shape != "plate":
-            side = plain.diameter if plain.length is None else plain.length / 2
-            plate = Body("plate", side / 5, side)
-            yield f"a {plate.describe()} {slow}", _push(plate, depth)
-    what = (
-        f"the {size} drawn along at a depth of {depth * 1e3:.2g} mm, force against speed to 1 m/s"
-    )
-    record = {"speed": np.linspace(0.01, 1.0, 15), "force": np.ones(15)}
-    yield what, Run("planned", "drag", record, body=plain, depth=depth)
-
-
-def _drops(drops: Sequence[DropTrial], body: Body) -> Iterator[tuple[str, Run]]:
-    """Yield drops that are slower, faster or heavier than the measured ones."""
-    speeds = [t.run.speed or 0.0 for t in drops if t.run.body == body]
-    angle = drops[0].run.angle if drops else 0.0
-    duration = 3 * max([t.arrest.time or 0.05 for t in drops], default=0.1)
-    wanted = (min(speeds) / _OTHER, min(max(speeds) * _OTHER, _FASTEST)) if speeds else (1.0, 3.0)
-    found = [
-        (body, speed)
-        for speed in wanted
-        if all(not 1 / _OTHER_SPEED < speed / max(v, 1e-9) < _OTHER_SPEED for v in speeds)
-    ]
-    mass = _OTHER * body.projectile.mass
-    found += [(replace(body, mass=mass, density=None), speeds[0])] if speeds else []
-    time = np.linspace(0.0, duration, 4)
-    for dropped, speed in found:
-        record = {"time": time, "depth": speed * time + 0.1 * GRAVITY * time**2}
-        article = "the" if dropped is body else "a"
-        yield (
-            f"a drop of {article} {dropped.describe()} at {speed:.2g} m/s",
-            Run("planned", "drop", record, body=dropped, speed=speed, angle=angle),
-        )
-
-
-def _push(body: Body, depth: float) -> Run:
-    record = {"depth": np.linspace(depth / _ROWS, depth, _ROWS), "force": np.ones(_ROWS)}
-    return Run("planned", "intrude", record, body=body)
-
-
-def _planned(run: Run, material: Material) -> Trial:
-    """Return a run with what would be measured; a drop ends when it rests, or with its record."""
-    if run.kind != "drop":
-        force = PushTrial(run).simulate(material).force
-        return PushTrial(replace(run, data=run.measured() | {"force": force}))
-    fall = DropTrial(run).simulate(material)
-    assert fall.time is not None
-    arrest = find_arrest(fall.time, fall.depth)
-    longest = 1.3 * (arrest.time or float(run.measured()["time"][-1]))
-    time = np.linspace(0.0, min(longest, fall.time[-1]), _ROWS)
-    return DropTrial(
-        replace(run, data={"time": time, "depth": np.interp(time, fall.time, fall.depth)})
-    )

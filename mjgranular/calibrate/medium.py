@@ -1,19 +1,17 @@
 """The medium before a fit, and the one that results from it."""
 
-import math
-from collections.abc import Collection, Iterable, Mapping
 from dataclasses import MISSING, asdict, fields, replace
 from pathlib import Path
 from typing import Any, get_type_hints
 
 from mjgranular._util.extras import require
 from mjgranular._util.io import place
-from mjgranular._util.parse import parse_number
 from mjgranular.calibrate.fit import FitResult
 from mjgranular.calibrate.material import DENSITY, STRENGTH
-from mjgranular.errors import GranularError, InputError, shown
-from mjgranular.law import Law, law_in, laws
+from mjgranular.errors import InputError
+from mjgranular.law import DistributedLinkLaw, Law, LinkLaw, law_in, laws
 from mjgranular.medium import Medium, Quantity, get_medium
+from mjgranular.medium.file import check_mapping, number
 
 _MEDIUM_KEYS = ("base", "name", "title", "density", "grain")
 
@@ -40,7 +38,7 @@ def known_medium(
     constants = {} if base is None else {k: dict(v) for k, v in base.constants.items()}
     density = given.get("density") or (base and base.density)
     assert density is not None
-    key = _table(kind, constants)
+    key = _table(kind)
     own = {} if base is None else _constants_of(kind, base)
     numbers = _numbers_of(kind)
     own |= {k: q for k, q in given.items() if k in numbers}
@@ -63,29 +61,6 @@ def known_medium(
         )
     except InputError as error:
         raise InputError(f"{place(path)}: {error}") from None
-
-
-def check_mapping(
-    entry: Any, where: str, keys: Collection[str], *, needed: Iterable[str] = ()
-) -> None:
-    """Check that an entry of a file is a mapping with known keys."""
-    known = ", ".join(keys)
-    if not isinstance(entry, dict):
-        raise InputError(f"{where} must be a mapping with {known}, got {shown(entry)}")
-    for key in entry:
-        if key not in keys:
-            raise InputError(f"{where} has no key {shown(key)}; there are: {known}")
-    for key in needed:
-        if entry.get(key) is None:
-            raise InputError(f"{where} needs {key}")
-
-
-def number(value: Any, key: str) -> float:
-    """Return a finite number from a file."""
-    found = parse_number(value) if isinstance(value, str) else None
-    if found is None or not math.isfinite(found):
-        raise InputError(f"{key} must be a number, without its unit, got {shown(value)}")
-    return found
 
 
 def _given(entry: dict[str, Any], kind: type[Law], where: str, source: str) -> dict[str, Quantity]:
@@ -122,30 +97,16 @@ def _numbers_of(kind: type[Law]) -> list[str]:
     return [field.name for field in every if hints[field.name] in (float, int)]
 
 
-def _table(kind: type[Law], constants: Mapping[str, Mapping[str, Quantity]]) -> str:
+def _table(kind: type[Law]) -> str:
     """Return the law name of a medium's constants: the law's own, or that of one with the same."""
-    if kind.name in constants:
-        return kind.name
-    dummy = {
-        field.name: Quantity(1.0, "", "")
-        for field in fields(kind)  # pyright: ignore[reportArgumentType]
-        if field.default is MISSING
-    }
-    density = Quantity(1500.0, "kg/m^3", "")
-    for key in (kind.name, *laws):
-        try:
-            kind.from_medium(Medium("any", "any", density, key, {key: dummy}))
-        except GranularError:
-            continue
-        return key
-    return kind.name
+    return LinkLaw.name if issubclass(kind, DistributedLinkLaw) else kind.name
 
 
 def _constants_of(kind: type[Law], medium: Medium) -> dict[str, Quantity]:
     """Return a medium's constants of a law, with their values."""
     key = medium.key_for(kind.name)
     if key is None:
-        return dict(medium.constants.get(_table(kind, medium.constants), {}))
+        return dict(medium.constants.get(_table(kind), {}))
     law = kind.from_medium(medium)
     return {
         name: replace(quantity, value=getattr(law, name))
@@ -157,7 +118,7 @@ def fitted_medium(result: FitResult, name: str, *, source: str = "") -> Medium:
     """Return the fitted medium: free constants with intervals, the others unchanged."""
     material, start = result.material, result.start
     before, kind = start.medium, type(material.law)
-    key = _table(kind, before.constants)
+    key = _table(kind)
     known = _constants_of(kind, before)
     constants = {}
     for constant, value in material.constants().items():

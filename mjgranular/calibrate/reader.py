@@ -1,13 +1,7 @@
 """Files of measured runs: a YAML file that describes them, next to a CSV file per run.
 
-    medium: {density: 1469, internal_friction: 0.35, surface_friction: 0.45, grain: 0.003}
-    runs:
-      - {name: slow, kind: drop, body: {shape: sphere, diameter: 0.0254, mass: 0.0692},
-         speed: 1.0, data: slow.csv}
-      - {name: leg, kind: turn, body: {file: leg.xml}, speed: 0.2, data: leg.csv}
-
-docs/calibration.md has all keys. At `qpos0` of a body from an MJCF file its lowest point is at the
-surface; for a turning leg, the hip is at its height.
+docs/calibration.md has all keys, and an example. At `qpos0` of a body from an MJCF file its lowest
+point is at the surface; for a turning leg, the hip is at its height.
 
 A set of runs that laws are scored against is a folder with such a file, `runs.yaml`, and
 `about.json`: `title`, `source`, the `marks` of runs by name, and the names of runs that are
@@ -25,21 +19,20 @@ import numpy as np
 
 from mjgranular._util.io import place, read_file
 from mjgranular.calibrate.fit import Fit
-from mjgranular.calibrate.medium import check_mapping, known_medium, number
+from mjgranular.calibrate.medium import known_medium
 from mjgranular.calibrate.motion import Motion
 from mjgranular.calibrate.runs import COLUMNS, Body, Kind, MeasuredRun, Run, RunSet, read_table
 from mjgranular.calibrate.trial import GRAVITY
 from mjgranular.errors import InputError, UnknownNameError, shown
 from mjgranular.law import Law, Rft3dLaw
-from mjgranular.medium.file import read_outline_file
+from mjgranular.medium.file import check_mapping, number, read_outline_file
 
 LARGEST = 1_000_000
 """Size up to which a file is read [bytes]; chosen."""
 
-_NUMBERS = ("speed", "touch", "depth", "angle", "height")
-_NAMES = ("model_body", "keyframe")
-_RUN_KEYS = ("name", "kind", "data", "body", "columns", "model", *_NUMBERS, *_NAMES)
-_MEASURED_KEYS = ("name", "kind", "data", "body", "columns", "speed", "depth", "angle")
+_NUMBERS = ("speed", "depth", "angle", "height")
+_RUN_KEYS = ("name", "kind", "data", "body", *_NUMBERS)
+_MEASURED_KEYS = ("name", "kind", "data", "body", "speed", "depth", "angle")
 _BODY_KEYS = ("shape", "diameter", "length", "mass", "density")
 
 _ABOUT: dict[str, Any] = {"source": "unknown", "marks": {}, "guided": [], "to_the_stop": []}
@@ -113,7 +106,7 @@ def _runs(
     found = []
     for k, entry in enumerate(content["runs"]):
         where = f"{place(path)}: runs[{k}]"
-        check_mapping(entry, where, _RUN_KEYS, needed=("name", "kind", "data"))
+        check_mapping(entry, where, _RUN_KEYS, needed=("name", "kind", "data", "body"))
         for key in ("name", "kind", "data"):
             if not isinstance(entry[key], str):
                 raise InputError(f"{where}.{key} must be a string, got {shown(entry[key])}")
@@ -128,11 +121,10 @@ def _runs(
 
 
 def _run(entry: dict[str, Any], where: str, path: Path) -> Run | MeasuredRun:
-    """Return a run to fit to: a `MeasuredRun` where the body is in a file, but for a model."""
+    """Return a run to fit to: a `MeasuredRun` where the body is in a file."""
     if isinstance(entry.get("body"), dict) and "file" in entry["body"]:
         return _measured_run(entry, where, path, about=_ABOUT)
-    values: dict[str, Any] = _numbers(entry, where)
-    values |= {key: entry[key] for key in _NAMES if entry.get(key) is not None}
+    values = _numbers(entry, where)
     if "height" in values:
         height = values.pop("height")
         if "speed" in values:
@@ -142,15 +134,8 @@ def _run(entry: dict[str, Any], where: str, path: Path) -> Run | MeasuredRun:
         values["speed"] = math.sqrt(2 * GRAVITY * height)
     if "angle" in values:
         values["angle"] = math.radians(values["angle"])
-    if entry.get("model") is not None:
-        values["model"] = path.parent / str(entry["model"])
-    body = entry.get("body")
-    if isinstance(body, str) and entry["kind"] == "model":
-        values["model_body"] = body
-    elif body is not None:
-        values["body"] = _body(body, f"{where}.body")
-    columns = _columns(entry, where)
-    return Run(entry["name"], entry["kind"], path.parent / entry["data"], columns=columns, **values)
+    what = entry["name"], entry["kind"], path.parent / entry["data"]
+    return Run(*what, body=_body(entry["body"], f"{where}.body"), **values)
 
 
 def _measured_run(
@@ -161,8 +146,6 @@ def _measured_run(
         raise UnknownNameError("kind of run", kind, get_args(Kind))
     check_mapping(entry, where, _MEASURED_KEYS)
     numbers = _numbers(entry, where)
-    if entry.get("body") is None:
-        raise InputError(f"{where} needs body, such as {{shape: sphere, diameter: 0.0254}}")
     if isinstance(entry["body"], dict) and set(entry["body"]) == {"file"}:
         body = path.parent / str(entry["body"]["file"])
     else:
@@ -170,9 +153,7 @@ def _measured_run(
         if kind == "drop" and not shape.is_heavy:
             raise InputError(f"{where}.body: a body that is dropped needs its mass [kg]")
         body = shape.projectile
-    found: dict[str, Any] = read_table(
-        path.parent / entry["data"], *COLUMNS[kind], _columns(entry, where)
-    )
+    found: dict[str, Any] = read_table(path.parent / entry["data"], *COLUMNS[kind])
     if kind == "drag" and "depth" not in {*found, *numbers}:
         raise InputError(f"{where}: a drag needs the depth of the body's lowest point [m]")
     rows = len(next(iter(found.values())))
@@ -191,13 +172,6 @@ def _measured_run(
 def _numbers(entry: dict[str, Any], where: str, keys: Sequence[str] = _NUMBERS) -> dict[str, float]:
     given = [key for key in keys if entry.get(key) is not None]
     return {key: number(entry[key], f"{where}.{key}") for key in given}
-
-
-def _columns(entry: dict[str, Any], where: str) -> dict[str, str]:
-    columns = entry.get("columns") or {}
-    if not (isinstance(columns, dict) and all(isinstance(c, str) for c in columns.values())):
-        raise InputError(f"{where}.columns maps names such as force to headings of the file")
-    return columns
 
 
 def _body(entry: Any, where: str) -> Body:

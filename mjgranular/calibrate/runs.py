@@ -13,7 +13,7 @@ from typing import Any, Literal, get_args
 import mujoco
 import numpy as np
 
-from mjgranular._util.checks import is_finite
+from mjgranular._util.checks import check_kind, is_finite
 from mjgranular._util.io import place, read_file
 from mjgranular._util.parse import parse_number
 from mjgranular.calibrate.motion import Motion
@@ -68,7 +68,6 @@ class Body:
 
     @property
     def projectile(self) -> Projectile:
-        """The body as a projectile."""
         length = self.diameter if self.length is None else self.length
         plain = Projectile(length, self.diameter, 1.0, self.shape)
         density = self.density or _STEEL
@@ -81,15 +80,8 @@ class Body:
         """Largest extent [m]."""
         return max(self.diameter, self.length or 0.0)
 
-    def describe(self) -> str:
-        size = f"{self.diameter * 1e3:g} mm"
-        if self.length is not None and self.shape != "sphere":
-            size = f"{self.length * 1e3:g} x {size}"
-        weight = f", {self.projectile.mass * 1e3:.3g} g" if self.is_heavy else ""
-        return f"{self.shape} of {size}{weight}"
 
-
-FitKind = Literal["drop", "intrude", "drag", "model"]
+FitKind = Literal["drop", "intrude", "drag"]
 Kind = Literal["drop", "intrude", "drag", "turn", "roll", "sink", "walk"]
 Mark = Literal["fitted to", "seen", "blind"]
 
@@ -106,7 +98,6 @@ COLUMNS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "drop": (("time", "depth"), ("speed", "force", "pitch")),
     "intrude": (("depth", "force"), ("speed",)),
     "drag": (("speed", "force"), ("depth", "lift")),
-    "model": (("time", "depth"), ()),
     "turn": (("angle", "force", "lift"), ()),
     "roll": (_WHEEL, ()),
     "sink": (_WHEEL, ()),
@@ -133,18 +124,12 @@ class Run:
         kind: "drop": the body falls freely; columns time and depth, and optionally the pitch of its
             axis from the vertical [degrees]. "intrude": it is pushed straight down at constant
             speed; depth and force. "drag": it is dragged along the surface at one depth, at several
-            speeds; speed and force, and optionally lift. "model": a body of an MJCF model that is
-            released; time and depth.
+            speeds; speed and force, and optionally lift.
         data: a CSV file, or the columns by their names, in SI units and degrees.
-        body: the body that meets the sand; not for "model".
+        body: the body that meets the sand.
         speed: downward, when the lowest point touches the sand, or of a push [m/s].
         angle: initial angle of the body's axis from the vertical [rad].
-        touch: time of the record at which the lowest point touches the sand [s]; None to find it.
         depth: depth of a drag [m].
-        columns: headings in the file of columns with other names, by column name.
-        model: an MJCF file. It starts from its keyframe, with the model's joints.
-        model_body: name of the body whose lowest point was measured.
-        keyframe: name of the keyframe to start from; None for the model's own state.
 
     Raises:
         UnknownNameError: no such kind.
@@ -155,28 +140,17 @@ class Run:
     kind: FitKind
     data: Path | Mapping[str, Any]
     _: KW_ONLY
-    body: Body | None = None
+    body: Body
     speed: float | None = None
     angle: float = 0.0
-    touch: float | None = None
     depth: float | None = None
-    columns: Mapping[str, str] = field(default_factory=dict)
-    model: Path | None = None
-    model_body: str | None = None
-    keyframe: str | None = None
 
     def __post_init__(self) -> None:
         if self.kind not in get_args(FitKind):
             raise UnknownNameError("kind of run", self.kind, get_args(FitKind))
         where = f"run {shown(self.name)}"
-        if self.kind == "model" and (self.model is None or self.model_body is None):
-            raise InputError(
-                f"{where}: a run of a model needs model, an MJCF file, and model_body, the name of "
-                "the body that was measured"
-            )
-        if self.kind != "model" and self.body is None:
-            raise InputError(f"{where}: a {self.kind} needs a body")
-        for name in ("speed", "touch", "depth"):
+        check_kind(self.body, Body, where)
+        for name in ("speed", "depth"):
             value = getattr(self, name)
             if value is not None and not is_finite(value):
                 raise InputError(f"{where}: {name} must be a finite number, got {shown(value)}")
@@ -187,14 +161,10 @@ class Run:
         if self.kind == "drop":
             if self.speed is None:
                 raise InputError(f"{where}: a drop needs the speed at which it meets the sand")
-            if self.body is not None and not self.body.is_heavy:
+            if not self.body.is_heavy:
                 raise InputError(f"{where}: a body that is dropped needs its mass [kg]")
         if self.kind == "drag" and not (self.depth is not None and self.depth > 0):
             raise InputError(f"{where}: a drag needs the depth of the body's lowest point [m]")
-        for column in self.columns:
-            known = sum(self._columns, ())
-            if column not in known:
-                raise UnknownNameError(f"column of a {self.kind}", column, known)
 
     @property
     def _columns(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -210,7 +180,7 @@ class Run:
         """
         needed, optional = self._columns
         if not isinstance(self.data, Mapping):
-            return read_table(Path(self.data), needed, optional, self.columns)
+            return read_table(Path(self.data), needed, optional)
         where = f"run {shown(self.name)}"
         for column in needed:
             if column not in self.data:
@@ -224,9 +194,8 @@ class Run:
         return found
 
     def config(self) -> dict[str, Any]:
-        """Return the run in plain values."""
         given = isinstance(self.data, Mapping)
-        return _plain(self, data="given" if given else self.data, columns=dict(self.columns))
+        return _plain(self, data="given" if given else self.data)
 
 
 @dataclass(frozen=True)
@@ -296,7 +265,6 @@ class MeasuredRun:
             raise InputError(f"{shown(self.shape)}: a walk needs a keyframe to start from")
 
     def config(self) -> dict[str, Any]:
-        """Return the run in plain values, without its motion."""
         return _plain(self, motion=None)
 
     @property
@@ -393,20 +361,13 @@ _HEADINGS: dict[str, tuple[tuple[str, ...], dict[str, float]]] = {
 
 
 def read_table(
-    path: Path,
-    needed: Iterable[str],
-    optional: Iterable[str] = (),
-    columns: Mapping[str, str] | None = None,
+    path: Path, needed: Iterable[str], optional: Iterable[str] = ()
 ) -> dict[str, np.ndarray]:
     """Read needed and optional columns of a CSV file, in SI units and degrees.
 
     A heading is a name with its unit, `depth [mm]`, `depth (mm)` or `depth_mm`; without one it is
-    SI. Other columns are ignored, as are lines that start with `#`. `columns` has other headings.
+    SI. Other columns are ignored, as are lines that start with `#`.
     """
-    known, columns = (*needed, *optional), columns or {}
-    for column in columns:
-        if column not in known:
-            raise UnknownNameError(f"column of {place(path)}", column, known)
     text = read_file(path, "the measurement", largest=_LARGEST).decode("utf-8-sig", "replace")
     name = place(path)
     try:
@@ -431,14 +392,14 @@ def read_table(
     if len(rows) == 1:
         raise InputError(f"{name} has headings and no row of numbers")
     found = {}
-    for column in known:
-        index = _find(headings, column, columns.get(column), name)
+    for column in (*needed, *optional):
+        index = _find(headings, column, name)
         if index is not None:
             found[column] = index
         elif column in needed:
             raise InputError(
-                f"{name} has no column {column!r}: it has {listed(headings)}; name the one that is "
-                f"meant with columns: {{{column}: HEADING}}"
+                f"{name} has no column {column!r}: it has {listed(headings)}; rename the one that "
+                "is meant"
             )
     return {
         column: _factor(headings[index], column, name)
@@ -447,11 +408,9 @@ def read_table(
     }
 
 
-def _find(headings: list[str], column: str, called: str | None, name: str) -> int | None:
-    if called is not None and called not in headings:
-        raise InputError(f"{name} has no column {shown(called)}: it has {listed(headings)}")
-    plain = headings if called else [_split(heading, column)[0] for heading in headings]
-    chosen = called or next((known for known in _HEADINGS[column][0] if known in plain), None)
+def _find(headings: list[str], column: str, name: str) -> int | None:
+    plain = [_split(heading, column)[0] for heading in headings]
+    chosen = next((known for known in _HEADINGS[column][0] if known in plain), None)
     if chosen is None:
         return None
     if plain.count(chosen) > 1:

@@ -1,13 +1,11 @@
 """A run as the fit sees it: measured data row by row, and the prediction for a material."""
 
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, NamedTuple
 
-import mujoco
 import numpy as np
 
 from mjgranular.calibrate.material import Material
@@ -22,17 +20,10 @@ from mjgranular.calibrate.simulate import (
     way_of,
 )
 from mjgranular.errors import InputError, UnstableError, shown
-from mjgranular.experiment.drop import Drop, load, start_from
-from mjgranular.sand.chosen import geoms_in_sand
-from mjgranular.sand.spec import SandSpec
 from mjgranular.scheme import Implicit
-from mjgranular.shape.select import find_all
-from mjgranular.surface import Plane
-from mjgranular.surface.floors import WOULD_CARRY, describe_floors, find_floors
 
 _POINTS = 41  # points at which the force of a smooth path is computed; linear in between
 _PUSH_SPEED = 0.01  # default speed of a push [m/s]: slow
-_UNITS = (("mm", 1e-3), ("cm", 1e-2))
 _DEEPEST = 20.0  # depth of a push, at most, in largest extents of the body; chosen, wide
 
 _FORCES = ("force", "side", "lift")
@@ -71,7 +62,6 @@ class Trial(ABC):
 
     @property
     def rows(self) -> int:
-        """Number of measured values."""
         return sum(len(series.values) for series in self.series)
 
     @abstractmethod
@@ -140,7 +130,12 @@ class PushTrial(Trial):
         where = f"run {shown(run.name)}"
         measured = run.measured()
         inside = measured["depth"] > 0 if run.kind == "intrude" else measured["speed"] > 0
-        _check_depth(run.depth or measured["depth"].max(), run, where)
+        deepest, size = run.depth or measured["depth"].max(), run.body.size
+        if deepest > _DEEPEST * size:
+            raise InputError(
+                f"{where}: a depth of {deepest:.4g} m for a body of {size:.3g} m is implausible: "
+                "the key depth is in m; name the unit of a column, such as 'depth [mm]'"
+            )
         if run.kind == "drag" and not inside.all():
             least = measured["speed"].min()
             raise InputError(f"{where}: speeds of a drag must be positive, got {least:g} m/s")
@@ -205,32 +200,14 @@ def _series(columns: dict[str, np.ndarray | None]) -> tuple[Series, ...]:
     )
 
 
-def _check_depth(depth: float, run: Run, where: str) -> None:
-    """Check that a depth is plausible in meters; guess the unit if not."""
-    assert run.body is not None
-    size = run.body.size
-    if depth <= _DEEPEST * size:
-        return
-    what = f"{where}: a depth of {depth:.4g} m for a body of {size:.3g} m"
-    units = [unit for unit, factor in _UNITS if depth * factor <= _DEEPEST * size]
-    if units:
-        likely, name = " or ".join(units), f"name the column 'depth [{units[-1]}]'"
-        if run.depth is not None:
-            name = "the key depth is in m"
-        raise InputError(f"{what} looks like {likely}: {name}")
-    raise InputError(f"{what} is not plausible: check the units")
-
-
 # Dropped bodies: depth, and optionally pitch, over time
 
 GRAVITY = 9.81  # as for all dropped bodies (models/link.xml) [m/s^2]
 
 _BEGINNING = 0.1  # part of the depth within which a fall is nearly uniform; chosen
 _NEAR_STOP = 0.75  # part of the depth beyond which a stop is searched; chosen
-_USUAL = 0.6  # ratio of `_PLAUSIBLE` for a body with constant deceleration
 _END = 0.1  # part of the rows over which the final depth is averaged; chosen
 _PLAUSIBLE = (0.02, 1.5)  # mean speed on the way down over that of a free fall; chosen, wide
-_OTHER_UNITS = (("depth", "mm", 1e-3, 1.0), ("depth", "cm", 1e-2, 1.0), ("time", "ms", 1.0, 1e-3))
 _TIMES = 200  # number of stopping times tried
 _VAGUE = 0.5  # part of a stopping time within which the rows must tell it; chosen
 _STAYS = 0.03  # parts of its range within which a curve counts as settled; chosen
@@ -305,33 +282,19 @@ def find_arrest(since: np.ndarray, depth: np.ndarray) -> Arrest:
 
 
 def check_units(time: np.ndarray, depth: np.ndarray, speed: float, size: float, where: str) -> None:
-    """Check that depths and times are plausible in meters and seconds; guess the unit if not."""
+    """Check that depths and times are plausible in meters and seconds."""
     greatest = float(depth.max())
     near = np.flatnonzero(depth >= 0.9 * greatest)[0]
     begin = np.flatnonzero(depth[: near + 1] <= _BEGINNING * greatest)
     took = float(time[near] - time[begin[-1] if len(begin) else 0])
     took = max(took, float(np.diff(time).min()))
+    of_free_fall = 0.9 * greatest / (speed * took + GRAVITY * took**2 / 2)
     low, high = _PLAUSIBLE
-
-    def ratio(meter: float = 1.0, second: float = 1.0) -> float:
-        """Return the mean speed over that of a free fall, with other units of the file."""
-        t = took * second
-        return 0.9 * greatest * meter / (speed * t + GRAVITY * t**2 / 2)
-
-    if low <= ratio() <= high and greatest <= 50 * size:
-        return
-    guesses = [
-        (abs(math.log(ratio(meter, second) / _USUAL)), f"{column} [{unit}]")
-        for column, unit, meter, second in _OTHER_UNITS
-        if low < ratio(meter, second) < high and greatest * meter < 20 * size
-    ]
-    hint = "check the units of time, depth and speed"
-    if guesses:
-        column = min(guesses)[1]
-        hint = f"it looks like {column.split('[')[1][:-1]}; name the column '{column}'"
-    raise InputError(
-        f"{where}: {greatest:.4g} m deep after {took:.3g} s at {speed:g} m/s is implausible: {hint}"
-    )
+    if not low <= of_free_fall <= high or greatest > 50 * size:
+        raise InputError(
+            f"{where}: {greatest:.4g} m deep after {took:.3g} s at {speed:g} m/s is implausible: "
+            "name units, such as 'depth [mm]' and 'time [ms]', and check the speed"
+        )
 
 
 def settling(since: np.ndarray, values: np.ndarray) -> float:
@@ -368,68 +331,42 @@ class DropTrial(Trial):
     def __init__(self, run: Run) -> None:
         self.run = run
         self._where = f"run {shown(run.name)}"
-        self._speed = run.speed or 0.0
+        assert run.speed is not None
+        self._speed = run.speed
         self.speeds = (self._speed,)
         measured = run.measured()
         time, depth = measured["time"], measured["depth"]
         check_record(time, depth, self._where)
-        falls = run.kind == "drop"  # a model starts at its first row
-        if falls and depth[-1] < min(depth[0], 0.0):
+        if depth[-1] < min(depth[0], 0.0):
             raise InputError(
                 f"{self._where}: the body ends {-depth[-1]:.4g} m above the sand: "
                 "depths are positive downward"
             )
-        if self._speed > 0 or run.body is not None:
-            size = math.inf if run.body is None else run.body.size
-            check_units(time, depth, self._speed, size, self._where)
-        self.touch = self._touch(time, depth) if falls else float(time[0])
+        check_units(time, depth, self._speed, run.body.size, self._where)
+        self.touch = find_touch(time, depth, self._speed)
         since = time - self.touch
         curves = [np.maximum(depth, 0.0)]
         curves += [measured["pitch"]] if "pitch" in measured else []
         moving = max(settling(since, curve) for curve in curves)
-        before = min(_BEFORE * moving, self._speed / GRAVITY) if falls else 0.0
+        before = min(_BEFORE * moving, self._speed / GRAVITY)
         used = (since <= _AFTER * moving) & (since >= -before)
         self.places = time[used]
         self.series = (Series("depth", depth[used], float(depth.max())),)
         if "pitch" in measured:
             pitch = measured["pitch"]
-            self._check_pitch(float(pitch[0]))
             scale = max(_LEAST_PITCH, float(np.ptp(pitch)))
             self.series += (Series("pitch", pitch[used], scale),)
         self.arrest = find_arrest(self.places - self.touch, depth[used])
-        self._simulator = self._make_simulator(float(self.places[-1] - self.touch))
-        if falls and run.touch is None and self._speed > 0:  # it is fitted with the constants
-            off = max(_TOUCH * float(depth.max()) / self._speed, float(np.median(np.diff(time))))
-            self.shift, self.shift_range = self.touch, (self.touch - off, self.touch + off)
-
-    def _touch(self, time: np.ndarray, depth: np.ndarray) -> float:
-        touch = self.run.touch
-        if touch is None:
-            return find_touch(time, depth, self._speed)
-        if not time[0] - (time[-1] - time[0]) <= touch < time[-1]:
-            raise InputError(
-                f"{self._where}: the touch at {touch} s is not in {time[0]:g} to {time[-1]:g} s"
-            )
-        return touch
-
-    def _check_pitch(self, first: float) -> None:
-        """Check the first pitch [degrees] against the angle of the run."""
-        angle = round(math.degrees(self.run.angle), 9)
-        if abs(first - angle) > 10:
-            hint = "both are that of the axis from the vertical"
-            if abs(math.degrees(first) - angle) < 10:
-                hint = "it looks like radians; name the column 'pitch [rad]'"
-            raise InputError(
-                f"{self._where}: the angle is {angle:g} and the first pitch {first:.3g} deg: {hint}"
-            )
-
-    def _make_simulator(self, duration: float) -> Simulator:
+        duration = float(self.places[-1] - self.touch)
         self._timestep = float(np.clip(duration / _STEPS, *_STEP_RANGE))
         self._duration = duration + self._timestep
-        projectile = self.run.body.projectile
-        self._qpos = np.array(projectile.touching(self.run.angle), float)
-        self._qvel = np.array(projectile.moving(self.run.angle, self._speed, 0.0, 0.0), float)
-        return Simulator(projectile.model(self._timestep), Implicit(), ("link",))
+        projectile = run.body.projectile
+        self._qpos = np.array(projectile.touching(run.angle), float)
+        self._qvel = np.array(projectile.moving(run.angle, self._speed, 0.0, 0.0), float)
+        self._simulator = Simulator(projectile.model(self._timestep), Implicit(), ("link",))
+        if self._speed > 0:  # it is fitted with the constants
+            off = max(_TOUCH * float(depth.max()) / self._speed, float(np.median(np.diff(time))))
+            self.shift, self.shift_range = self.touch, (self.touch - off, self.touch + off)
 
     def simulate(self, material: Material) -> Motion:
         self._simulator.use(material)
@@ -450,8 +387,8 @@ class DropTrial(Trial):
         # MuJoCo's velocities lie half a step before its positions (docs/scheme.md).
         qvel[1] += timestep / 2 * GRAVITY
         simulator.reset(self._qpos, qvel)
-        path = simulator.move(steps * parts, lambda: simulator.data.qpos, until_rest=True)
-        return np.vstack([self._qpos, path[parts - 1 :: parts]])
+        path = simulator.move(steps * parts)[parts - 1 :: parts]
+        return np.vstack([self._qpos, path])
 
     def since(self, shift: float | None) -> np.ndarray:
         return self.places - (self.touch if shift is None else shift)
@@ -480,46 +417,6 @@ class DropTrial(Trial):
         )
 
 
-class ModelTrial(DropTrial):
-    """A body of a custom model: it starts from its keyframe at the first row of the record."""
-
-    def _make_simulator(self, duration: float) -> Simulator:
-        run = self.run
-        model, _ = load(Drop(run.model, keyframe=run.keyframe))
-        (body,) = find_all(model, "body", run.model_body)
-        floors = find_floors(model, geoms_in_sand(model, SandSpec()), Plane())
-        if floors:
-            raise InputError(
-                f"{self._where}: {describe_floors(model, floors, WOULD_CARRY)}: remove it from the "
-                "model, the sand is in its place"
-            )
-        data = mujoco.MjData(model)
-        start_from(model, data, run.keyframe)
-        self._body, self._steps = body, int(np.ceil(duration / model.opt.timestep)) + 2
-        self._qpos, self._qvel = data.qpos.copy(), data.qvel.copy()
-        if self._speed:
-            joint = model.body_jntadr[model.body_rootid[body]]
-            if joint < 0 or model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_FREE:
-                raise InputError(
-                    f"{self._where}: a speed is for a free joint; use a keyframe with velocities"
-                )
-            self._qvel[model.jnt_dofadr[joint] + 2] -= self._speed
-        return Simulator(model, Implicit())
-
-    def simulate(self, material: Material) -> Motion:
-        simulator = self._simulator
-        simulator.use(material)
-        if not len(simulator.depths_of(self._body)):
-            raise InputError(f"the body {self.run.model_body!r} does not meet the sand")
-        simulator.reset(self._qpos, self._qvel)
-        depth = simulator.move(self._steps, lambda: simulator.depths_of(self._body).max())
-        return Motion(depth=depth, time=simulator.model.opt.timestep * np.arange(len(depth)))
-
-    def predicted(self, outcome: Motion, shift: float | None) -> list[np.ndarray]:
-        assert outcome.time is not None
-        return [np.interp(self.since(None), outcome.time, outcome.depth)]
-
-
 # All runs of a fit
 
 _FAR = 10.0  # residual of a run that diverged: ten times what was measured
@@ -530,8 +427,7 @@ _KEPT = 64  # outcomes that are kept
 class Problem:
     """Unknown constants and touches, and residuals of the runs.
 
-    The unknowns are the free constants, then the touch time of each drop whose record does not have
-    it.
+    The unknowns are the free constants, then the touch time of each drop.
     """
 
     def __init__(
@@ -590,7 +486,6 @@ class Problem:
         return self._outcomes[key]
 
     def residual(self, x: np.ndarray) -> np.ndarray:
-        """Return the residuals of all runs, one after the other."""
         parts = []
         for k, outcome in enumerate(self.outcomes(x)):
             trial = self.trials[k]

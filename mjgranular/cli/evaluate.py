@@ -33,7 +33,6 @@ class Actor:
     gait: Mapping[str, float] | None = None  # parameters that differ from the defaults
 
     def make(self, env: Any) -> Agent:
-        """Return the agent for an environment, or for several."""
         if isinstance(self.agent, str):
             return make_baseline(self.agent, self.environment, env, gait=self.gait)
         return self.agent.checked(self.environment, env)

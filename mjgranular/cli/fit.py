@@ -27,8 +27,8 @@ _ROUNDS = 12  # of a fit, as a guess for the progress bar
 class FitCommand:
     """Fit a medium to your own measurements of drops, pushes and drags.
 
-    Prints the constants of a law with 95 % intervals, which of them the data separate and which
-    further test would, and the errors of each run. With --out FILE.yaml, writes a medium that
+    Prints the constants of a law with 95 % intervals, which of them the data separate, and the
+    errors of each run. With --out FILE.yaml, writes a medium that
     --medium takes, with a figure of the curves and the whole result next to it.
     """
 
@@ -133,12 +133,6 @@ def sentences(result: FitResult) -> Iterator[str]:
     wide = [name for name, good in result.identifiable.items() if not good]
     if wide and not result.valleys:
         yield f"These data say little about {', '.join(wide)}: the interval is wide."
-    if result.further:
-        yield "Intervals after one further test, by this law:"
-    for test in result.further:
-        widths = ", ".join(f"{name} {_percent(width)}" for name, width in test.intervals.items())
-        enough = "" if test.identifiable else ", which is not enough"
-        yield f"- {test.what}: {widths}{enough}"
     for name in result.at_bound:
         yield f"{name} ended on a bound of the law: another law may be needed."
     if result.residual > 0.05:
@@ -146,10 +140,6 @@ def sentences(result: FitResult) -> Iterator[str]:
             f"The law misses the curves by {100 * result.residual:.0f} % on average: intervals are "
             "those of the best constants of this law, not of constants of the sand."
         )
-
-
-def _percent(width: float) -> str:
-    return f"+-{100 * width:.2g} %" if width < 10 else "not at all"
 
 
 def _constants(result: FitResult) -> Table:

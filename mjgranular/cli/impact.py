@@ -1,6 +1,6 @@
 """`mjgranular impact`: one drop of the link, of another body or of a chain; the paper's table."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -13,14 +13,11 @@ from mjgranular.errors import GranularError, InputError
 from mjgranular.experiment import Impact, ImpactResult, run_impact
 from mjgranular.experiment.folder import RUN_FILES, write_impact
 from mjgranular.experiment.trajectory import Trajectory
-from mjgranular.picture.figures import draw_forces, draw_motion, draw_prints
+from mjgranular.picture.figures import draw_forces, draw_motion
 from mjgranular.picture.video import Film, frames_of_run
-from mjgranular.relief.memory import as_memory
 from mjgranular.render import Tracks
-from mjgranular.sand.prepare import fitted
 
 FIGURES = ("motion.png", "forces.png")
-PROFILE = "prints.png"
 VIDEO = "impact.mp4"
 
 
@@ -38,10 +35,7 @@ class ImpactCommand(FilmOptions, options_of(Impact)):
             raise InputError("a sphere has no --length: its size is its --diameter")
         impact = self.experiment()
         film = self._film(impact) if self.video else None
-        # The law may be None here, and is named in the file.
-        config = {name: value for name, value in asdict(impact).items() if name != "law" or value}
-        names = *RUN_FILES, *FIGURES, PROFILE, VIDEO
-        with self.claimed(*names, command="impact", config=config) as folder:
+        with self.claimed(*RUN_FILES, *FIGURES, VIDEO) as folder:
             with progress_bar("dropping the link", impact.duration) as progress:
                 result = run_impact(impact, progress=progress)
             if folder is not None:
@@ -51,8 +45,6 @@ class ImpactCommand(FilmOptions, options_of(Impact)):
             else:
                 _show(result)
             problems = [] if folder is None else _draw(folder, result, film)
-            if folder is not None and not problems:
-                folder.finish()
         return self.finish(problems)
 
     def _film(self, impact: Impact) -> Film:
@@ -115,20 +107,13 @@ def _title(summary: dict[str, Any]) -> str:
 def _draw(folder: ResultFolder, result: ImpactResult, film: Film | None) -> list[GranularError]:
     """Draw the figures of a drop and its film; return what could not be drawn."""
     problems: list[GranularError] = []
-    impact, summary, prints = result.impact, result.summary(), result.prints
-    stop, above = release_to_stop(summary), _title(summary)
+    summary = result.summary()
     with collected(problems):
-        options = {"stop": stop, "title": above}
+        options = {"stop": release_to_stop(summary), "title": _title(summary)}
         for name, draw in zip(FIGURES, (draw_motion, draw_forces), strict=True):
             folder.write(name, lambda path, draw=draw: draw(path, result.trajectory, **options))
-    if prints is not None:
-        memory = as_memory(fitted(impact.link.model(impact.timestep), impact.described).memory)
-        assert memory is not None
-        profile = prints.profile(memory)
-        with collected(problems):
-            folder.write(PROFILE, lambda path: draw_prints(path, *profile, title=above))
     if film is not None:
-        frames = film_impact(impact, result.trajectory, summary, film, prints)
+        frames = film_impact(result.impact, result.trajectory, summary, film, result.prints)
         with collected(problems):
             write_film(folder, VIDEO, film, frames)
     return problems

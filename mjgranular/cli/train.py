@@ -1,7 +1,6 @@
 """`mjgranular train`: a policy for an environment."""
 
 import importlib
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
@@ -9,7 +8,6 @@ from typing import Annotated, Literal
 import tyro
 
 from mjgranular._util.extras import require
-from mjgranular._util.result_folder import ResultFolder
 from mjgranular.cli.console import note, out, print_json, progress_bar, show_error
 from mjgranular.cli.options import Flag, given_options, option
 from mjgranular.errors import InputError, MissingExtraError, warn_user
@@ -17,7 +15,6 @@ from mjgranular.learn import environments
 from mjgranular.learn.run import Run, begin_run, mean_returns, open_run
 from mjgranular.learn.settings import change, find_settings
 from mjgranular.learn.train import Training, train
-from mjgranular.picture.figures import PALETTE, figure
 
 
 @dataclass(frozen=True)
@@ -73,8 +70,6 @@ class TrainCommand:
                 if self.resume is None:
                     run.discard()
                 raise
-            if training.progress.curve:
-                _draw_curve(run, training)
         return self._show(run, training)
 
     def _new_run(self) -> Run:
@@ -91,11 +86,6 @@ class TrainCommand:
         settings = change(settings, self.set)
         if self.total_steps is not None:
             settings = replace(settings, total_steps=self.total_steps)
-        if "render_mode" in settings.environment:
-            raise InputError(
-                "nothing is drawn during a training: omit environment.render_mode; mjgranular "
-                "render films the run"
-            )
         name, seed = self.environment.replace(":", "/").rpartition("/")[2], self.seed or 0
         path = self.out or Path("runs") / f"{name}-{settings.algorithm}-{seed}"
         run = begin_run(path, self.environment, settings, seed=seed)
@@ -162,20 +152,3 @@ class TrainCommand:
         if progress.steps == training.began:
             note(f"nothing to do: the run has {progress.steps} steps; use a greater --total-steps")
         return 0
-
-
-def _draw_curve(run: Run, training: Training) -> None:
-    """Draw mean return against steps if matplotlib is installed."""
-    means = mean_returns(training.progress.curve, run.settings.num_envs)
-    thousands, returns = [steps / 1e3 for steps, _ in means], [mean for _, mean in means]
-
-    def draw(path: Path) -> None:
-        with figure(path, 6.4, 4.0, run.name) as drawn:
-            axis = drawn.subplots()
-            axis.plot(thousands, returns, color=PALETTE[0], alpha=0.85)
-            axis.set_xlabel("steps [thousands]")
-            axis.set_ylabel("mean return of episodes in training")
-
-    name = "curve.png"
-    with suppress(MissingExtraError):
-        ResultFolder(run.path, (name,)).write(name, draw)

@@ -96,7 +96,6 @@ class Drop(PlainSand):
 
     @property
     def title(self) -> str:
-        """Short name of the model."""
         return self.model.name
 
 

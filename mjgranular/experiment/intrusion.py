@@ -94,7 +94,6 @@ class Intrusion:
 
     @property
     def title(self) -> str:
-        """Name of the intruder."""
         if self.model is not None:
             return self.geom or self.model.name
         return f"{self.intruder} of {self.size * 1e3:g} mm"

@@ -35,7 +35,6 @@ class Recorder:
         return True
 
     def take(self, *parts: np.ndarray | float, report: Any = None) -> None:
-        """Take a sample of numbers, with a report."""
         if self._count == len(self._rows):
             half = len(self._rows) // 2
             self._rows[:half] = self._rows[::2]

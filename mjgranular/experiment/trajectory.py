@@ -111,7 +111,6 @@ class Trajectory:
         return np.column_stack([getattr(self, field.name) for field in fields(self)])
 
     def write_csv(self, path: Path) -> None:
-        """Write the samples below a line of names with units."""
         with atomic_write(path) as part:
             write_numbers(part, [f"{f.name} [{UNITS[f.name]}]" for f in fields(self)], self.table())
 
@@ -124,7 +123,6 @@ class Trajectory:
 
     @classmethod
     def read_npz(cls, path: Path) -> Self:
-        """Read what `write_npz` wrote."""
         arrays = read_arrays(path, [field.name for field in fields(cls)])
         t = arrays["t"]
         if t.ndim != 1 or not len(t) or any(a.shape != t.shape for a in arrays.values()):

@@ -1,7 +1,7 @@
 """Agents that need no training: zero, random, a scripted gait. `policies.Policy` is another."""
 
 import importlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -18,9 +18,7 @@ class Agent(Protocol):
     `steps` are the numbers of steps since the episodes began, shape (n,).
     """
 
-    def act(self, observations: np.ndarray, steps: np.ndarray) -> np.ndarray:
-        """Return the actions."""
-        ...
+    def act(self, observations: np.ndarray, steps: np.ndarray) -> np.ndarray: ...
 
 
 @dataclass(frozen=True)
@@ -43,7 +41,7 @@ def make_baseline(
     that differ from its defaults.
     """
     if name == "gait":
-        return make_gait(env_id, env, gait or {})
+        return _make_gait(env_id, env, gait or {})
     space = getattr(env, "single_action_space", None) or env.action_space
     if name == "random":
         space.seed(seed)
@@ -54,10 +52,7 @@ def make_baseline(
     return Baseline(lambda steps: np.array([middle] * len(steps)))
 
 
-def make_gait(
-    env_id: str, env: Any, parameters: Mapping[str, float] | Sequence[Mapping[str, float]]
-) -> Agent:
-    """Return the scripted gait of an environment; of several, with parameters for each."""
+def _make_gait(env_id: str, env: Any, parameters: Mapping[str, float]) -> Agent:
     gaits = importlib.import_module("mjgranular.envs.gaits")
     task: Any = getattr(env.unwrapped, "task", None)
     if type(task).__name__ not in gaits.gaits:
@@ -65,12 +60,5 @@ def make_gait(
             f"there is no scripted gait for {env_id}; there are some for "
             f"{', '.join(f'mjgranular/{name}-v0' for name in gaits.gaits)}"
         )
-    several = [parameters] if isinstance(parameters, Mapping) else parameters
-    made = [gaits.gait(task, **given) for given in several]
-
-    def choose(steps: np.ndarray) -> np.ndarray:
-        scripts = made * (len(steps) if len(made) == 1 else 1)
-        times = steps * task.dt
-        return np.array([script(float(t)) for script, t in zip(scripts, times, strict=True)])
-
-    return Baseline(choose)
+    script = gaits.gait(task, **parameters)
+    return Baseline(lambda steps: np.array([script(float(step * task.dt)) for step in steps]))

@@ -71,7 +71,6 @@ class CheckpointCallback(BaseCallback):
         return not self.stopped
 
     def save(self) -> Progress:
-        """Write a checkpoint."""
         check_finite(self.model, self._run)
         self._add_row()
         reached = Progress(self.model.num_timesteps, self._seconds(), tuple(self._curve))

@@ -129,7 +129,6 @@ class Normalizer:
 
     @classmethod
     def of(cls, env: Any) -> Self:
-        """Return the statistics of a `VecNormalize`."""
         none, returns = np.array([]), env.ret_rms
         mean, variance, count = none, none, 0.0
         if env.norm_obs:
@@ -138,7 +137,6 @@ class Normalizer:
         return cls(env.norm_obs, mean, variance, *map(float, numbers))
 
     def restore(self, env: Any) -> None:
-        """Put the statistics into a `VecNormalize`."""
         if self.observations:
             env.obs_rms.mean, env.obs_rms.var = self.mean, self.variance
             env.obs_rms.count = self.count

@@ -144,12 +144,10 @@ class Score:
 
     @property
     def returned(self) -> Mean:
-        """The return."""
         return mean_of(self.episodes.returns)
 
     @property
     def length(self) -> Mean:
-        """Steps of an episode."""
         return mean_of(self.episodes.lengths)
 
     def figure(self, name: str) -> Mean | None:
@@ -158,7 +156,6 @@ class Score:
         return None if values is None else mean_of(values)
 
     def as_json(self) -> dict[str, Any]:
-        """Return plain values."""
         figures = {name: mean_of(values) for name, values in self.episodes.figures.items()}
         finite = {name: vars(mean) for name, mean in figures.items() if np.isfinite(mean.mean)}
         return {

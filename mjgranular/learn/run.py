@@ -59,16 +59,13 @@ class Run:
 
     @property
     def arguments(self) -> dict[str, Any]:
-        """Arguments of the environment in training."""
         return dict(self.settings.environment)
 
     @property
     def name(self) -> str:
-        """Display name."""
         return f"{self.environment} {self.settings.algorithm} seed {self.seed}"
 
     def config(self) -> dict[str, Any]:
-        """Return the content of `config.json`."""
         return {
             "command": TRAINING,
             "environment": self.environment,

@@ -104,7 +104,6 @@ class Settings:
                 )
 
     def as_json(self) -> dict[str, Any]:
-        """Return plain values."""
         return {**asdict(self), "net": list(self.net)}
 
     @classmethod

@@ -1,7 +1,8 @@
 """Media by their names, and from YAML files."""
 
+import math
 import re
-from collections.abc import Iterator
+from collections.abc import Collection, Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -115,15 +116,7 @@ def read_medium(path: str | Path) -> Medium:
 
 
 def _medium(content: Any) -> Medium:
-    if not isinstance(content, dict):
-        raise InputError(f"a medium is a mapping with the keys {', '.join(_REQUIRED)}")
-    known = {*_REQUIRED, "grain"}
-    for key in _REQUIRED:
-        if key not in content:
-            raise InputError(f"the key {key!r} is missing; needed: {', '.join(_REQUIRED)}")
-    for key in content:
-        if key not in known:
-            raise InputError(f"no key {shown(key)} in a medium; there are: {sorted(known)}")
+    check_mapping(content, "a medium", (*_REQUIRED, "grain"), needed=_REQUIRED)
     if not isinstance(content["constants"], dict):
         raise InputError("constants must map names of laws to their constants")
     constants = {}
@@ -154,19 +147,33 @@ def _quantity(key: str, entry: Any, *units: str) -> Quantity:
     if units and unit not in (None, "", *units):
         raise InputError(f"{key} must be in {units[0]}, not {shown(unit)}: units do not convert")
     return Quantity(
-        _number(f"{key}.value", entry["value"]),
+        number(entry["value"], f"{key}.value"),
         "" if unit is None else _text(f"{key}.unit", unit),
         _text(f"{key}.source", entry["source"]),
     )
 
 
-def _number(key: str, value: Any) -> float:
-    """Parse a number in Python's notation, or YAML's .inf or .nan."""
-    plain = str(value).lower().replace(".inf", "inf").replace(".nan", "nan")
-    number = parse_number(plain) if isinstance(value, str) else None
-    if number is None:
-        raise InputError(f"{key} must be a number, not {shown(value)}")
-    return number
+def check_mapping(
+    entry: Any, where: str, keys: Collection[str], *, needed: Iterable[str] = ()
+) -> None:
+    """Check that an entry of a file is a mapping with known keys."""
+    known = ", ".join(keys)
+    if not isinstance(entry, dict):
+        raise InputError(f"{where} must be a mapping with {known}")  # it may be any file's content
+    for key in entry:
+        if key not in keys:
+            raise InputError(f"{where} has no key {shown(key)}; there are: {known}")
+    for key in needed:
+        if entry.get(key) is None:
+            raise InputError(f"{where} needs {key}")
+
+
+def number(value: Any, key: str) -> float:
+    """Return a finite number from a file."""
+    found = parse_number(value) if isinstance(value, str) else None
+    if found is None or not math.isfinite(found):
+        raise InputError(f"{key} must be a number, without its unit, got {shown(value)}")
+    return found
 
 
 def _text(key: str, value: Any) -> str:
@@ -208,87 +215,54 @@ def read_outline_file(path: Path, what: str, *, largest: int, extra: str) -> Any
 def read_outline(text: str, yaml: Any) -> Any:
     """Read YAML: dicts, lists, strings, and unquoted None, True and False.
 
-    Only the parser of PyYAML runs, with its safe loader's grammar, and none of its constructors: no
-    object, date or number is made from a file, and the work is proportional to its size.
+    PyYAML composes a tree of nodes, and constructs nothing: no object, date or number is made from
+    a file, and the work is proportional to its size.
 
     Unsupported are tags, several documents, duplicate keys, aliases of something else than a
     string, deep nesting and long strings.
     """
     try:
-        return _Reader(yaml, yaml.parse(text, Loader=yaml.SafeLoader)).document()
+        node = yaml.compose(text, Loader=yaml.BaseLoader)
+    except RecursionError:
+        raise OutlineError(f"nested deeper than {_DEEPEST} levels") from None
     except yaml.YAMLError as error:
         reason = getattr(error, "problem", None) or getattr(error, "reason", None) or "unreadable"
         mark = getattr(error, "problem_mark", None)
         where = "" if mark is None else f"line {mark.line + 1}: "
         raise OutlineError(f"{where}{str(reason)[:100]}") from None
+    return None if node is None else _content(node, 0, set())
 
 
-class _Reader:
-    """Reads the parser's events once."""
-
-    def __init__(self, yaml: Any, events: Iterator[Any]) -> None:
-        self._yaml = yaml
-        self._events = events
-        self._texts: dict[str, Any] = {}  # strings by their anchors
-
-    def document(self) -> Any:
-        next(self._events)  # of the stream
-        event = next(self._events)
-        if isinstance(event, self._yaml.StreamEndEvent):
-            return None
-        content = self._node(next(self._events), 0)
-        next(self._events)
-        end = next(self._events)
-        if not isinstance(end, self._yaml.StreamEndEvent):
-            raise _wrong(end, "a second document begins: one is enough")
-        return content
-
-    def _node(self, event: Any, depth: int) -> Any:
-        if isinstance(event, self._yaml.AliasEvent):
-            if event.anchor not in self._texts:
-                raise _wrong(event, f"the alias {shown(event.anchor)} stands for no text before it")
-            return self._texts[event.anchor]
-        if event.tag is not None:
-            raise _wrong(event, f"the tag {shown(event.tag)} has no meaning here: remove it")
-        if isinstance(event, self._yaml.ScalarEvent):
-            return self._text(event)
-        if depth == _DEEPEST:
-            raise _wrong(event, f"nested deeper than {_DEEPEST} levels")
-        if isinstance(event, self._yaml.SequenceStartEvent):
-            return [self._node(inner, depth + 1) for inner in self._inner()]
-        return self._mapping(depth)
-
-    def _mapping(self, depth: int) -> dict[str, Any]:
-        content: dict[str, Any] = {}
-        for event in self._inner():
-            key = self._node(event, depth + 1)
-            if not isinstance(key, str):
-                raise _wrong(event, f"a key must be a string, got {shown(key)}")
-            if key in content:
-                raise _wrong(event, f"the key {shown(key)} stands twice")
-            content[key] = self._node(next(self._events), depth + 1)
-        return content
-
-    def _inner(self) -> Iterator[Any]:
-        """Yield the events up to the end of a list or mapping."""
-        for event in self._events:
-            if isinstance(event, self._yaml.CollectionEndEvent):
-                return
-            yield event
-
-    def _text(self, event: Any) -> Any:
-        text = event.value
-        if len(text) > _LONGEST_TEXT:
+def _content(node: Any, depth: int, seen: set[int]) -> Any:
+    """Return the content of a node of YAML; `seen` has the ids of the collections before it."""
+    if not node.tag.endswith((":str", ":seq", ":map")):
+        raise _wrong(node, f"the tag {shown(node.tag)} has no meaning here: remove it")
+    if node.id == "scalar":
+        if len(node.value) > _LONGEST_TEXT:
             raise _wrong(
-                event, f"a string must have at most {_LONGEST_TEXT} characters, got {len(text)}"
+                node,
+                f"a string must have at most {_LONGEST_TEXT} characters, got {len(node.value)}",
             )
-        if not all(c.isprintable() or c.isspace() for c in text):
-            raise _wrong(event, "a string must have printable characters only")
-        content = _WORDS.get(text, text) if event.implicit[0] else text
-        if event.anchor is not None:
-            self._texts[event.anchor] = content
-        return content
+        if not all(c.isprintable() or c.isspace() for c in node.value):
+            raise _wrong(node, "a string must have printable characters only")
+        return node.value if node.style else _WORDS.get(node.value, node.value)
+    if depth == _DEEPEST:
+        raise _wrong(node, f"nested deeper than {_DEEPEST} levels")
+    if id(node) in seen:
+        raise _wrong(node, "an alias may only stand for a string")
+    seen.add(id(node))
+    if node.id == "sequence":
+        return [_content(inner, depth + 1, seen) for inner in node.value]
+    content: dict[str, Any] = {}
+    for name, value in node.value:
+        key = _content(name, depth + 1, seen)
+        if not isinstance(key, str):
+            raise _wrong(name, f"a key must be a string, got {shown(key)}")
+        if key in content:
+            raise _wrong(name, f"the key {shown(key)} stands twice")
+        content[key] = _content(value, depth + 1, seen)
+    return content
 
 
-def _wrong(event: Any, what: str) -> OutlineError:
-    return OutlineError(f"line {event.start_mark.line + 1}: {what}")
+def _wrong(node: Any, what: str) -> OutlineError:
+    return OutlineError(f"line {node.start_mark.line + 1}: {what}")

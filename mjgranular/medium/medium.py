@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mjgranular._util.checks import kind_of
-from mjgranular._util.tables import html_table
 from mjgranular.errors import InputError, UnknownNameError, listed, one_line, shown
 
 # From snow to tungsten powder, from dust to gravel: a value outside has a wrong unit.
@@ -66,10 +65,11 @@ class Medium:
         if not isinstance(self.name, str) or not self.name.strip():
             raise InputError(f"a medium has a name such as 'my_sand', not {kind_of(self.name)}")
         medium = f"medium {shown(self.name)}"
-        if not isinstance(self.constants, Mapping):
+        tables = [self.constants, *getattr(self.constants, "values", tuple)()]
+        if not all(isinstance(table, Mapping) for table in tables):
             raise InputError(
                 f"{medium}: constants are a table of laws, {{'rft3d': {{name: Quantity(...)}}}}, "
-                f"not {kind_of(self.constants)}"
+                f"not {shown(self.constants)}"
             )
         sizes = [("bulk density", self.density, _DENSITIES, "kg/m^3")]
         if self.grain is not None:
@@ -84,11 +84,6 @@ class Medium:
                     f"{medium}: the {what} must be from {low:g} to {high:g} {unit}, not {one.value}"
                 )
         for law, constants in self.constants.items():
-            if not isinstance(constants, Mapping):
-                raise InputError(
-                    f"{medium}: constants of {law} are a table, {{name: Quantity(...)}}, not "
-                    f"{kind_of(constants)}"
-                )
             for key, quantity in constants.items():
                 if not isinstance(quantity, Quantity):
                     raise InputError(
@@ -104,22 +99,11 @@ class Medium:
             )
 
     def __repr__(self) -> str:
-        """Return a short form; `_repr_html_` and `mjgranular list media NAME` have the numbers."""
+        """Return a short form; `mjgranular list media NAME` has the numbers."""
         return (
             f"Medium({shown(self.name)}: {one_line(self.title)}, {self.density.value:g} kg/m^3, "
             f"laws {listed(self.laws)})"
         )
-
-    def _repr_html_(self) -> str:
-        """Return all numbers with their sources, for notebooks."""
-        general = {"density": self.density, **({"grain": self.grain} if self.grain else {})}
-        rows = [
-            (law, key, quantity.value, quantity.unit, quantity.source)
-            for law, constants in {"": general, **self.constants}.items()
-            for key, quantity in constants.items()
-        ]
-        headings = ("law", "constant", "value", "unit", "source")
-        return html_table(f"{self.name}: {self.title}", headings, rows)
 
     @property
     def laws(self) -> tuple[str, ...]:

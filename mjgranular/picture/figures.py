@@ -111,14 +111,6 @@ def _mark_stop(axes: Sequence[Any], stop: float | None) -> None:
     )
 
 
-def draw_prints(path: Path, x: np.ndarray, height: np.ndarray, *, title: str = "") -> None:
-    """Draw the height [m] of sand with memory over positions in the plane of motion [m]."""
-    labels = "along the surface, $x$ [mm]", "height of the sand [mm]"
-    with panels(path, (6.4, 3.2), title, *labels) as axes:
-        axes[0].axhline(0, color=_GREY, linewidth=0.8)
-        axes[0].plot(x * 1e3, height * 1e3, color=_OCHRE, marker=".", markersize=3)
-
-
 def draw_drop(
     path: Path,
     t: np.ndarray,

@@ -38,7 +38,6 @@ class Mapped:
 
     @property
     def interrupted(self) -> bool:
-        """Whether the run was interrupted before its end."""
         return self.stopped_by is not None
 
     @property

@@ -46,15 +46,6 @@ class Tracks:
         last = min(int(last), len(self.t) - 1)
         return bool(first <= last and self.end[last] > (self.end[first - 1] if first else 0))
 
-    def profile(self, memory: Memory) -> tuple[np.ndarray, np.ndarray]:
-        """Return stored positions along the sand's first axis, and final heights there [m]."""
-        along = {int(i): 0.0 for i in self.node[:, 0]}
-        for (i, j), height in zip(self.node.tolist(), self.height.tolist(), strict=True):
-            if j == 0:
-                along[i] = height
-        nodes = np.array(sorted(along), dtype=float)
-        return memory.cell * nodes, np.array([along[int(i)] for i in nodes])
-
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the arrays by their names in a file."""
         return {f"prints_{name}": value for name, value in vars(self).items()}

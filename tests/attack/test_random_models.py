@@ -143,35 +143,6 @@ def test_models_of_all_kinds_are_drawn():
     assert all(seen[name] for name in ("tendons", "actuators", "activations", "mocap"))
 
 
-def test_a_failing_model_shrinks_to_what_fails():
-    cases, shrink = (importlib.import_module(f"attacks.{name}") for name in ("cases", "shrink"))
-    sand = "law='link', geoms=['one', 'two']"
-    events = [(0, "data.ctrl = 1"), (3, "data.qvel = 1")]
-    case = cases.ModelCase(SEVERAL, sand, ("link", "plane", "implicit"), 0, events=events)
-
-    def fails(part):
-        try:
-            model = mujoco.MjModel.from_xml_string(part.xml)
-        except ValueError:  # the motor has lost its joint
-            return False
-        return bool((model.geom_type == mujoco.mjtGeom.mjGEOM_BOX).any()) and bool(part.events)
-
-    small = shrink.smaller(case, fails)
-    model = mujoco.MjModel.from_xml_string(small.xml)
-    assert (model.nbody, model.ngeom, model.nu) == (2, 1, 0)
-    assert small.sand == "law='link', geoms=['two']"
-    assert len(small.events) == 1
-
-
-SEVERAL = """
-<mujoco>
-  <worldbody>
-    <body name="a"><freejoint/><geom name="one" size="0.1"/></body>
-    <body name="b"><joint name="j"/><geom name="two" type="box" size="0.1 0.1 0.1"/></body>
-  </worldbody>
-  <actuator><motor joint="j"/></actuator>
-</mujoco>
-"""
 EVERYTHING = """
 <mujoco>
   <asset><hfield name="h" nrow="3" ncol="3" size="1 1 0.1 0.1"/></asset>

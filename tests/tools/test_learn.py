@@ -352,7 +352,6 @@ def test_the_command_ends_with_a_checkpoint_on_sigterm_and_goes_on_after_sigkill
     assert main(["train", "--resume", str(folder), "--total-steps", str(killed + 64)]) == 0
     assert open_run(folder).steps() >= killed + 64
     assert open_run(folder).settings.total_steps == killed + 64
-    assert (folder / "curve.png").stat().st_size > 1000
 
 
 def test_the_newest_policy_is_a_file_of_stable_baselines(trained):

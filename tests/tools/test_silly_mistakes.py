@@ -96,7 +96,7 @@ drop block.xml --medium '' | no medium ''; there are: glass_beads, glass_beads_3
 drop block.xml --medium Play_Sand | no medium 'Play_Sand' ... did you mean play_sand?
 drop block.xml --medium my_sand.yaml | cannot read the medium my_sand.yaml
 drop block.xml --medium notes.txt | no medium 'notes.txt'; there are: glass_beads, glass
-drop block.xml --medium list.yaml | list.yaml: a medium is a mapping with the keys name
+drop block.xml --medium list.yaml | list.yaml: a medium must be a mapping with name
 drop block.xml --medium unit.yaml | unit.yaml: medium 'mine': the bulk density must be from 10 to
 drop block.xml --medium typo.yaml | medium 'mine': the law 'rft3d' has no constant 'scael'
 drop block.xml --medium law.yaml | no law 'rtf3d' ... did you mean rft3d?
