@@ -1,10 +1,10 @@
-"""Scripted gaits: actions as functions of time, with parameters; for baselines."""
+"""Scripted gaits: actions as functions of time, with parameters; for baselines and searches."""
 
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -16,6 +16,9 @@ from mjgranular.errors import InputError, UnknownNameError
 @dataclass(frozen=True)
 class Gait(ABC):
     """Actions as a function of time; a final gait is a frozen dataclass of its parameters."""
+
+    # Range of each parameter, (low, high), for searches.
+    bounds: ClassVar[dict[str, tuple[float, float]]]
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -29,6 +32,12 @@ class Gait(ABC):
 @dataclass(frozen=True)
 class TravellingWave(Gait):
     """A sine wave of joint angles, from head to tail."""
+
+    bounds: ClassVar[dict[str, tuple[float, float]]] = {
+        "amplitude": (0.2, 1.0),
+        "frequency": (0.5, 6.0),
+        "waves": (0.5, 2.0),
+    }
 
     amplitude: float = 0.9  # amplitude of the actions
     frequency: float = 1.0  # frequency [Hz]
@@ -46,6 +55,12 @@ class TravellingWave(Gait):
 class CrawlingWave(TravellingWave):
     """A sine wave in the vertical plane; nearly one wave from head to tail moves it forward."""
 
+    bounds: ClassVar[dict[str, tuple[float, float]]] = {
+        **TravellingWave.bounds,
+        "waves": (-2.0, 2.0),
+        "offset": (-0.4, 0.4),
+    }
+
     amplitude: float = 0.6
     waves: float = 2 / 3
 
@@ -53,6 +68,14 @@ class CrawlingWave(TravellingWave):
 @dataclass(frozen=True)
 class Tripod(Gait):
     """Tripod gait: front and rear leg of a side step with the middle leg of the other side."""
+
+    bounds: ClassVar[dict[str, tuple[float, float]]] = {
+        "stride": (0.2, 1.0),
+        "lift": (0.1, 1.0),
+        "press": (0.0, 0.6),
+        "frequency": (0.5, 6.0),
+        "duty": (0.4, 0.7),
+    }
 
     stride: float = 0.8  # amplitude of the hips' actions
     lift: float = 0.7  # height of the knees' actions while a leg steps
@@ -80,6 +103,8 @@ class Tripod(Gait):
 @dataclass(frozen=True)
 class Release(Gait):
     """A drop without spin, at an angle: the two actions are `angle` and `spin`."""
+
+    bounds: ClassVar[dict[str, tuple[float, float]]] = {"angle": (-1.0, 1.0), "spin": (-1.0, 1.0)}
 
     angle: float = 0.0
     spin: float = 0.0

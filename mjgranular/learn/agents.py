@@ -1,7 +1,7 @@
 """Agents that need no training: zero, random, a scripted gait. `policies.Policy` is another."""
 
 import importlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -41,7 +41,7 @@ def make_baseline(
     that differ from its defaults.
     """
     if name == "gait":
-        return _make_gait(env_id, env, gait or {})
+        return make_gait(env_id, env, gait or {})
     space = getattr(env, "single_action_space", None) or env.action_space
     if name == "random":
         space.seed(seed)
@@ -52,7 +52,10 @@ def make_baseline(
     return Baseline(lambda steps: np.array([middle] * len(steps)))
 
 
-def _make_gait(env_id: str, env: Any, parameters: Mapping[str, float]) -> Agent:
+def make_gait(
+    env_id: str, env: Any, parameters: Mapping[str, float] | Sequence[Mapping[str, float]]
+) -> Agent:
+    """Return the scripted gait of an environment; of several, with parameters for each."""
     gaits = importlib.import_module("mjgranular.envs.gaits")
     task: Any = getattr(env.unwrapped, "task", None)
     if type(task).__name__ not in gaits.gaits:
@@ -60,5 +63,12 @@ def _make_gait(env_id: str, env: Any, parameters: Mapping[str, float]) -> Agent:
             f"there is no scripted gait for {env_id}; there are some for "
             f"{', '.join(f'mjgranular/{name}-v0' for name in gaits.gaits)}"
         )
-    script = gaits.gait(task, **parameters)
-    return Baseline(lambda steps: np.array([script(float(step * task.dt)) for step in steps]))
+    several = [parameters] if isinstance(parameters, Mapping) else parameters
+    made = [gaits.gait(task, **given) for given in several]
+
+    def choose(steps: np.ndarray) -> np.ndarray:
+        scripts = made * (len(steps) if len(made) == 1 else 1)
+        times = steps * task.dt
+        return np.array([script(float(t)) for script, t in zip(scripts, times, strict=True)])
+
+    return Baseline(choose)

@@ -89,6 +89,16 @@ def test_the_tuning_script_without_optuna_gives_the_install_line(tmp_path, monke
 
 
 @pytest.mark.slow
+def test_the_gait_search_script(tmp_path):
+    script = ROOT / "scripts" / "search_gait.py"
+    few = ("--on", "max_episode_steps=10", "--count", "8", "--range", "waves=-1:1")
+    printed = run(script, "mjgranular/ChainCrawl-v0", *few, "--by", "x_velocity", cwd=tmp_path)
+    speeds = [float(line.split()[1].rstrip(":")) for line in printed.splitlines()]
+    assert len(speeds) == 5
+    assert speeds == sorted(speeds, reverse=True)
+
+
+@pytest.mark.slow
 def test_the_rllib_script(tmp_path):
     pytest.importorskip("ray.rllib", reason="the extra ray is not installed")
     script = ROOT / "scripts" / "train_rllib.py"

@@ -43,7 +43,7 @@ class StraightG1(Straight, G1Velocity):
 
 STEPS = 100  # of 500: four seconds
 
-# The fastest of a grid of 200 gaits each.
+# The best of `search_gaits(..., count=200, by="x_velocity")` (docs/training.md).
 BEST_GAITS = {
     "ChainSwim": {"amplitude": 1.0, "frequency": 1.6, "waves": 0.5},
     "ChainCrawl": {"amplitude": 0.733, "frequency": 0.5, "waves": 0.667, "offset": 0.133},

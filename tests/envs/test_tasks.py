@@ -5,6 +5,7 @@ import pickle
 import re
 import subprocess
 import sys
+from dataclasses import fields
 from functools import cache
 from pathlib import Path
 
@@ -415,8 +416,10 @@ def test_ids_are_registered_by_the_import():
     assert "SandEnv" in done.stdout
 
 
-def test_gaits_stay_within_the_actions():
-    for name in gaits:
+def test_gaits_name_their_parameters():
+    for name, kind in gaits.items():
+        known = {field.name for field in fields(kind)}
+        assert set(kind.bounds) <= known
         script = gait(mjgranular.envs.tasks[name]())
         action = script(0.7)
         assert action.dtype == np.float32
