@@ -31,8 +31,8 @@ LARGEST = 1_000_000
 """Size up to which a file is read [bytes]; chosen."""
 
 _NUMBERS = ("speed", "depth", "angle", "height")
-_RUN_KEYS = ("name", "kind", "data", "body", *_NUMBERS)
-_MEASURED_KEYS = ("name", "kind", "data", "body", "speed", "depth", "angle")
+_RUN_KEYS = ("name", "kind", "data", "body", "columns", *_NUMBERS)
+_MEASURED_KEYS = ("name", "kind", "data", "body", "columns", "speed", "depth", "angle")
 _BODY_KEYS = ("shape", "diameter", "length", "mass", "density")
 
 _ABOUT: dict[str, Any] = {"source": "unknown", "marks": {}, "guided": [], "to_the_stop": []}
@@ -135,7 +135,8 @@ def _run(entry: dict[str, Any], where: str, path: Path) -> Run | MeasuredRun:
     if "angle" in values:
         values["angle"] = math.radians(values["angle"])
     what = entry["name"], entry["kind"], path.parent / entry["data"]
-    return Run(*what, body=_body(entry["body"], f"{where}.body"), **values)
+    body, columns = _body(entry["body"], f"{where}.body"), _columns(entry, where)
+    return Run(*what, body=body, columns=columns, **values)
 
 
 def _measured_run(
@@ -153,7 +154,9 @@ def _measured_run(
         if kind == "drop" and not shape.is_heavy:
             raise InputError(f"{where}.body: a body that is dropped needs its mass [kg]")
         body = shape.projectile
-    found: dict[str, Any] = read_table(path.parent / entry["data"], *COLUMNS[kind])
+    found: dict[str, Any] = read_table(
+        path.parent / entry["data"], *COLUMNS[kind], _columns(entry, where)
+    )
     if kind == "drag" and "depth" not in {*found, *numbers}:
         raise InputError(f"{where}: a drag needs the depth of the body's lowest point [m]")
     rows = len(next(iter(found.values())))
@@ -172,6 +175,13 @@ def _measured_run(
 def _numbers(entry: dict[str, Any], where: str, keys: Sequence[str] = _NUMBERS) -> dict[str, float]:
     given = [key for key in keys if entry.get(key) is not None]
     return {key: number(entry[key], f"{where}.{key}") for key in given}
+
+
+def _columns(entry: dict[str, Any], where: str) -> dict[str, str]:
+    columns = entry.get("columns") or {}
+    if not (isinstance(columns, dict) and all(isinstance(c, str) for c in columns.values())):
+        raise InputError(f"{where}.columns maps names such as force to headings of the file")
+    return columns
 
 
 def _body(entry: Any, where: str) -> Body:

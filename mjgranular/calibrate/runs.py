@@ -130,6 +130,7 @@ class Run:
         speed: downward, when the lowest point touches the sand, or of a push [m/s].
         angle: initial angle of the body's axis from the vertical [rad].
         depth: depth of a drag [m].
+        columns: headings in the file of columns with other names, by column name.
 
     Raises:
         UnknownNameError: no such kind.
@@ -144,6 +145,7 @@ class Run:
     speed: float | None = None
     angle: float = 0.0
     depth: float | None = None
+    columns: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.kind not in get_args(FitKind):
@@ -165,6 +167,10 @@ class Run:
                 raise InputError(f"{where}: a body that is dropped needs its mass [kg]")
         if self.kind == "drag" and not (self.depth is not None and self.depth > 0):
             raise InputError(f"{where}: a drag needs the depth of the body's lowest point [m]")
+        for column in self.columns:
+            known = sum(self._columns, ())
+            if column not in known:
+                raise UnknownNameError(f"column of a {self.kind}", column, known)
 
     @property
     def _columns(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -180,7 +186,7 @@ class Run:
         """
         needed, optional = self._columns
         if not isinstance(self.data, Mapping):
-            return read_table(Path(self.data), needed, optional)
+            return read_table(Path(self.data), needed, optional, self.columns)
         where = f"run {shown(self.name)}"
         for column in needed:
             if column not in self.data:
@@ -195,7 +201,7 @@ class Run:
 
     def config(self) -> dict[str, Any]:
         given = isinstance(self.data, Mapping)
-        return _plain(self, data="given" if given else self.data)
+        return _plain(self, data="given" if given else self.data, columns=dict(self.columns))
 
 
 @dataclass(frozen=True)
@@ -361,13 +367,20 @@ _HEADINGS: dict[str, tuple[tuple[str, ...], dict[str, float]]] = {
 
 
 def read_table(
-    path: Path, needed: Iterable[str], optional: Iterable[str] = ()
+    path: Path,
+    needed: Iterable[str],
+    optional: Iterable[str] = (),
+    columns: Mapping[str, str] | None = None,
 ) -> dict[str, np.ndarray]:
     """Read needed and optional columns of a CSV file, in SI units and degrees.
 
     A heading is a name with its unit, `depth [mm]`, `depth (mm)` or `depth_mm`; without one it is
-    SI. Other columns are ignored, as are lines that start with `#`.
+    SI. Other columns are ignored, as are lines that start with `#`. `columns` has other headings.
     """
+    known, columns = (*needed, *optional), columns or {}
+    for column in columns:
+        if column not in known:
+            raise UnknownNameError(f"column of {place(path)}", column, known)
     text = read_file(path, "the measurement", largest=_LARGEST).decode("utf-8-sig", "replace")
     name = place(path)
     try:
@@ -392,14 +405,14 @@ def read_table(
     if len(rows) == 1:
         raise InputError(f"{name} has headings and no row of numbers")
     found = {}
-    for column in (*needed, *optional):
-        index = _find(headings, column, name)
+    for column in known:
+        index = _find(headings, column, columns.get(column), name)
         if index is not None:
             found[column] = index
         elif column in needed:
             raise InputError(
-                f"{name} has no column {column!r}: it has {listed(headings)}; rename the one that "
-                "is meant"
+                f"{name} has no column {column!r}: it has {listed(headings)}; name the one that is "
+                f"meant with columns: {{{column}: HEADING}}"
             )
     return {
         column: _factor(headings[index], column, name)
@@ -408,9 +421,11 @@ def read_table(
     }
 
 
-def _find(headings: list[str], column: str, name: str) -> int | None:
-    plain = [_split(heading, column)[0] for heading in headings]
-    chosen = next((known for known in _HEADINGS[column][0] if known in plain), None)
+def _find(headings: list[str], column: str, called: str | None, name: str) -> int | None:
+    if called is not None and called not in headings:
+        raise InputError(f"{name} has no column {shown(called)}: it has {listed(headings)}")
+    plain = headings if called else [_split(heading, column)[0] for heading in headings]
+    chosen = called or next((known for known in _HEADINGS[column][0] if known in plain), None)
     if chosen is None:
         return None
     if plain.count(chosen) > 1:

@@ -96,6 +96,10 @@ class Simulator:
         self._finish = entry(finish_step, "int64(int64)")
         self._harmless.clear()
 
+    def depths_of(self, body: int) -> np.ndarray:
+        """Return the depth of each element of a body at the last force [m]."""
+        return self._binding.contacts["depth"][self._prepared.elements["body"] == body]
+
     def _check(self, status: int) -> None:
         if status != FINE:
             time, law = self.data.time, self._material.law if self._material else ""
@@ -114,13 +118,20 @@ class Simulator:
         mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[:], self.data.qvel[:] = qpos, qvel
 
-    def move(self, steps: int) -> np.ndarray:
-        """Advance `data`; return positions after each step, those at rest from there on."""
-        rows = np.empty((steps, self.model.nq))
+    def move(
+        self, steps: int, look: Callable[[], np.ndarray], *, until_rest: bool = False
+    ) -> np.ndarray:
+        """Advance `data`, and return what `look` returns after each step.
+
+        At rest, if that is asked for, it stops and repeats the last row from there on.
+        """
+        first = np.asarray(look())
+        rows = np.empty((steps, *first.shape))
+        speed = self.data.qvel
         for step in range(1, steps + 1):
             self.step()
-            rows[step - 1] = self.data.qpos
-            if step % _CHECK_EVERY == 0 and np.abs(self.data.qvel).max() < _STILL:
+            rows[step - 1] = look()
+            if until_rest and step % _CHECK_EVERY == 0 and np.abs(speed).max() < _STILL:
                 rows[step:] = rows[step - 1]
                 break
         return rows

@@ -357,16 +357,27 @@ class DropTrial(Trial):
             scale = max(_LEAST_PITCH, float(np.ptp(pitch)))
             self.series += (Series("pitch", pitch[used], scale),)
         self.arrest = find_arrest(self.places - self.touch, depth[used])
-        duration = float(self.places[-1] - self.touch)
-        self._timestep = float(np.clip(duration / _STEPS, *_STEP_RANGE))
-        self._duration = duration + self._timestep
-        projectile = run.body.projectile
-        self._qpos = np.array(projectile.touching(run.angle), float)
-        self._qvel = np.array(projectile.moving(run.angle, self._speed, 0.0, 0.0), float)
-        self._simulator = Simulator(projectile.model(self._timestep), Implicit(), ("link",))
+        self._simulator = self._make_simulator(float(self.places[-1] - self.touch))
         if self._speed > 0:  # it is fitted with the constants
             off = max(_TOUCH * float(depth.max()) / self._speed, float(np.median(np.diff(time))))
             self.shift, self.shift_range = self.touch, (self.touch - off, self.touch + off)
+
+    def _check_pitch(self, first: float) -> None:
+        """Check the first pitch [degrees] against the angle of the run."""
+        angle = round(math.degrees(self.run.angle), 9)
+        if abs(first - angle) > 10:
+            raise InputError(
+                f"{self._where}: the angle is {angle:g} and the first pitch {first:.3g} degrees: "
+                "both are that of the axis from the vertical; a column in radians is 'pitch [rad]'"
+            )
+
+    def _make_simulator(self, duration: float) -> Simulator:
+        self._timestep = float(np.clip(duration / _STEPS, *_STEP_RANGE))
+        self._duration = duration + self._timestep
+        projectile = self.run.body.projectile
+        self._qpos = np.array(projectile.touching(self.run.angle), float)
+        self._qvel = np.array(projectile.moving(self.run.angle, self._speed, 0.0, 0.0), float)
+        return Simulator(projectile.model(self._timestep), Implicit(), ("link",))
 
     def simulate(self, material: Material) -> Motion:
         self._simulator.use(material)
@@ -387,8 +398,8 @@ class DropTrial(Trial):
         # MuJoCo's velocities lie half a step before its positions (docs/scheme.md).
         qvel[1] += timestep / 2 * GRAVITY
         simulator.reset(self._qpos, qvel)
-        path = simulator.move(steps * parts)[parts - 1 :: parts]
-        return np.vstack([self._qpos, path])
+        path = simulator.move(steps * parts, lambda: simulator.data.qpos, until_rest=True)
+        return np.vstack([self._qpos, path[parts - 1 :: parts]])
 
     def since(self, shift: float | None) -> np.ndarray:
         return self.places - (self.touch if shift is None else shift)

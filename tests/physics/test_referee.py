@@ -199,6 +199,11 @@ def test_a_set_of_ones_own(tmp_path):
         ({"table": "time [s],depth [m]\n0,-0.05\n0.1,0.02\n"}, InputError, "rows before the touch"),
         ({"table": ""}, InputError, "empty"),
         ({"table": "time,depth,t,depth [mm]\n0,0,0,0\n"}, InputError, "2 columns 'depth'"),
+        (
+            {"run": RUN.replace("speed: 1", "columns: {Depth: d}")},
+            UnknownNameError,
+            "no column of .*'Depth'; there are: time, depth, speed, force, pitch",
+        ),
         ({"run": RUN.replace("drop", "throw")}, UnknownNameError, "throw"),
         ({"run": RUN.replace("speed: 1", "height: 0.1")}, InputError, "no key 'height'"),
         ({"run": RUN.replace("sphere", "cube")}, UnknownNameError, "cube"),
