@@ -20,7 +20,7 @@ from mjgranular.calibrate.intervals import (
 from mjgranular.calibrate.material import Material
 from mjgranular.calibrate.motion import Errors
 from mjgranular.calibrate.runs import Body, MeasuredRun, Run
-from mjgranular.calibrate.trial import DropTrial, Problem, PushTrial, RowsTrial, Trial
+from mjgranular.calibrate.trial import DropTrial, ModelTrial, Problem, PushTrial, RowsTrial, Trial
 from mjgranular.errors import (
     InputError,
     RangeWarning,
@@ -216,7 +216,7 @@ def run_fit(fit: Fit, *, progress: Progress | None = None) -> FitResult:
 def _trial(run: Run | MeasuredRun) -> Trial:
     if isinstance(run, MeasuredRun):
         return RowsTrial(run)
-    return DropTrial(run) if run.kind == "drop" else PushTrial(run)
+    return {"drop": DropTrial, "model": ModelTrial}.get(run.kind, PushTrial)(run)
 
 
 def _check_bodies(runs: Sequence[Run | MeasuredRun]) -> None:

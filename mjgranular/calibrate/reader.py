@@ -31,7 +31,8 @@ LARGEST = 1_000_000
 """Size up to which a file is read [bytes]; chosen."""
 
 _NUMBERS = ("speed", "depth", "angle", "height")
-_RUN_KEYS = ("name", "kind", "data", "body", "columns", *_NUMBERS)
+_NAMES = ("model_body", "keyframe")
+_RUN_KEYS = ("name", "kind", "data", "body", "columns", "model", *_NUMBERS, *_NAMES)
 _MEASURED_KEYS = ("name", "kind", "data", "body", "columns", "speed", "depth", "angle")
 _BODY_KEYS = ("shape", "diameter", "length", "mass", "density")
 
@@ -106,7 +107,7 @@ def _runs(
     found = []
     for k, entry in enumerate(content["runs"]):
         where = f"{place(path)}: runs[{k}]"
-        check_mapping(entry, where, _RUN_KEYS, needed=("name", "kind", "data", "body"))
+        check_mapping(entry, where, _RUN_KEYS, needed=("name", "kind", "data"))
         for key in ("name", "kind", "data"):
             if not isinstance(entry[key], str):
                 raise InputError(f"{where}.{key} must be a string, got {shown(entry[key])}")
@@ -121,10 +122,11 @@ def _runs(
 
 
 def _run(entry: dict[str, Any], where: str, path: Path) -> Run | MeasuredRun:
-    """Return a run to fit to: a `MeasuredRun` where the body is in a file."""
+    """Return a run to fit to: a `MeasuredRun` where the body is in a file, but for a model."""
     if isinstance(entry.get("body"), dict) and "file" in entry["body"]:
         return _measured_run(entry, where, path, about=_ABOUT)
-    values = _numbers(entry, where)
+    values: dict[str, Any] = _numbers(entry, where)
+    values |= {key: entry[key] for key in _NAMES if entry.get(key) is not None}
     if "height" in values:
         height = values.pop("height")
         if "speed" in values:
@@ -134,9 +136,15 @@ def _run(entry: dict[str, Any], where: str, path: Path) -> Run | MeasuredRun:
         values["speed"] = math.sqrt(2 * GRAVITY * height)
     if "angle" in values:
         values["angle"] = math.radians(values["angle"])
-    what = entry["name"], entry["kind"], path.parent / entry["data"]
-    body, columns = _body(entry["body"], f"{where}.body"), _columns(entry, where)
-    return Run(*what, body=body, columns=columns, **values)
+    if entry.get("model") is not None:
+        values["model"] = path.parent / str(entry["model"])
+    body = entry.get("body")
+    if isinstance(body, str) and entry["kind"] == "model":
+        values["model_body"] = body
+    elif body is not None:
+        values["body"] = _body(body, f"{where}.body")
+    columns = _columns(entry, where)
+    return Run(entry["name"], entry["kind"], path.parent / entry["data"], columns=columns, **values)
 
 
 def _measured_run(
@@ -147,6 +155,8 @@ def _measured_run(
         raise UnknownNameError("kind of run", kind, get_args(Kind))
     check_mapping(entry, where, _MEASURED_KEYS)
     numbers = _numbers(entry, where)
+    if entry.get("body") is None:
+        raise InputError(f"{where} needs body, such as {{shape: sphere, diameter: 0.0254}}")
     if isinstance(entry["body"], dict) and set(entry["body"]) == {"file"}:
         body = path.parent / str(entry["body"]["file"])
     else:

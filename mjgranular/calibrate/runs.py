@@ -13,7 +13,7 @@ from typing import Any, Literal, get_args
 import mujoco
 import numpy as np
 
-from mjgranular._util.checks import check_kind, is_finite
+from mjgranular._util.checks import is_finite
 from mjgranular._util.io import place, read_file
 from mjgranular._util.parse import parse_number
 from mjgranular.calibrate.motion import Motion
@@ -81,7 +81,7 @@ class Body:
         return max(self.diameter, self.length or 0.0)
 
 
-FitKind = Literal["drop", "intrude", "drag"]
+FitKind = Literal["drop", "intrude", "drag", "model"]
 Kind = Literal["drop", "intrude", "drag", "turn", "roll", "sink", "walk"]
 Mark = Literal["fitted to", "seen", "blind"]
 
@@ -98,6 +98,7 @@ COLUMNS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "drop": (("time", "depth"), ("speed", "force", "pitch")),
     "intrude": (("depth", "force"), ("speed",)),
     "drag": (("speed", "force"), ("depth", "lift")),
+    "model": (("time", "depth"), ()),
     "turn": (("angle", "force", "lift"), ()),
     "roll": (_WHEEL, ()),
     "sink": (_WHEEL, ()),
@@ -124,13 +125,17 @@ class Run:
         kind: "drop": the body falls freely; columns time and depth, and optionally the pitch of its
             axis from the vertical [degrees]. "intrude": it is pushed straight down at constant
             speed; depth and force. "drag": it is dragged along the surface at one depth, at several
-            speeds; speed and force, and optionally lift.
+            speeds; speed and force, and optionally lift. "model": a body of an MJCF model that is
+            released; time and depth.
         data: a CSV file, or the columns by their names, in SI units and degrees.
-        body: the body that meets the sand.
+        body: the body that meets the sand; not for "model".
         speed: downward, when the lowest point touches the sand, or of a push [m/s].
         angle: initial angle of the body's axis from the vertical [rad].
         depth: depth of a drag [m].
         columns: headings in the file of columns with other names, by column name.
+        model: an MJCF file. It starts from its keyframe, with the model's joints.
+        model_body: name of the body whose lowest point was measured.
+        keyframe: name of the keyframe to start from; None for the model's own state.
 
     Raises:
         UnknownNameError: no such kind.
@@ -141,17 +146,26 @@ class Run:
     kind: FitKind
     data: Path | Mapping[str, Any]
     _: KW_ONLY
-    body: Body
+    body: Body | None = None
     speed: float | None = None
     angle: float = 0.0
     depth: float | None = None
     columns: Mapping[str, str] = field(default_factory=dict)
+    model: Path | None = None
+    model_body: str | None = None
+    keyframe: str | None = None
 
     def __post_init__(self) -> None:
         if self.kind not in get_args(FitKind):
             raise UnknownNameError("kind of run", self.kind, get_args(FitKind))
         where = f"run {shown(self.name)}"
-        check_kind(self.body, Body, where)
+        if self.kind == "model" and (self.model is None or self.model_body is None):
+            raise InputError(
+                f"{where}: a run of a model needs model, an MJCF file, and model_body, the name of "
+                "the body that was measured"
+            )
+        if self.kind != "model" and self.body is None:
+            raise InputError(f"{where}: a {self.kind} needs a body")
         for name in ("speed", "depth"):
             value = getattr(self, name)
             if value is not None and not is_finite(value):
@@ -163,7 +177,7 @@ class Run:
         if self.kind == "drop":
             if self.speed is None:
                 raise InputError(f"{where}: a drop needs the speed at which it meets the sand")
-            if not self.body.is_heavy:
+            if self.body is not None and not self.body.is_heavy:
                 raise InputError(f"{where}: a body that is dropped needs its mass [kg]")
         if self.kind == "drag" and not (self.depth is not None and self.depth > 0):
             raise InputError(f"{where}: a drag needs the depth of the body's lowest point [m]")

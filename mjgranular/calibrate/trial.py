@@ -1,11 +1,13 @@
 """A run as the fit sees it: measured data row by row, and the prediction for a material."""
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, NamedTuple
 
+import mujoco
 import numpy as np
 
 from mjgranular.calibrate.material import Material
@@ -20,7 +22,13 @@ from mjgranular.calibrate.simulate import (
     way_of,
 )
 from mjgranular.errors import InputError, UnstableError, shown
+from mjgranular.experiment.drop import Drop, load, start_from
+from mjgranular.sand.chosen import geoms_in_sand
+from mjgranular.sand.spec import SandSpec
 from mjgranular.scheme import Implicit
+from mjgranular.shape.select import find_all
+from mjgranular.surface import Plane
+from mjgranular.surface.floors import WOULD_CARRY, describe_floors, find_floors
 
 _POINTS = 41  # points at which the force of a smooth path is computed; linear in between
 _PUSH_SPEED = 0.01  # default speed of a push [m/s]: slow
@@ -331,24 +339,26 @@ class DropTrial(Trial):
     def __init__(self, run: Run) -> None:
         self.run = run
         self._where = f"run {shown(run.name)}"
-        assert run.speed is not None
-        self._speed = run.speed
+        self._speed = run.speed or 0.0
         self.speeds = (self._speed,)
         measured = run.measured()
         time, depth = measured["time"], measured["depth"]
         check_record(time, depth, self._where)
-        if depth[-1] < min(depth[0], 0.0):
+        falls = run.kind == "drop"  # a model starts at its first row
+        if falls and depth[-1] < min(depth[0], 0.0):
             raise InputError(
                 f"{self._where}: the body ends {-depth[-1]:.4g} m above the sand: "
                 "depths are positive downward"
             )
-        check_units(time, depth, self._speed, run.body.size, self._where)
-        self.touch = find_touch(time, depth, self._speed)
+        if self._speed > 0 or run.body is not None:
+            size = math.inf if run.body is None else run.body.size
+            check_units(time, depth, self._speed, size, self._where)
+        self.touch = find_touch(time, depth, self._speed) if falls else float(time[0])
         since = time - self.touch
         curves = [np.maximum(depth, 0.0)]
         curves += [measured["pitch"]] if "pitch" in measured else []
         moving = max(settling(since, curve) for curve in curves)
-        before = min(_BEFORE * moving, self._speed / GRAVITY)
+        before = min(_BEFORE * moving, self._speed / GRAVITY) if falls else 0.0
         used = (since <= _AFTER * moving) & (since >= -before)
         self.places = time[used]
         self.series = (Series("depth", depth[used], float(depth.max())),)
@@ -358,18 +368,9 @@ class DropTrial(Trial):
             self.series += (Series("pitch", pitch[used], scale),)
         self.arrest = find_arrest(self.places - self.touch, depth[used])
         self._simulator = self._make_simulator(float(self.places[-1] - self.touch))
-        if self._speed > 0:  # it is fitted with the constants
+        if falls and self._speed > 0:  # it is fitted with the constants
             off = max(_TOUCH * float(depth.max()) / self._speed, float(np.median(np.diff(time))))
             self.shift, self.shift_range = self.touch, (self.touch - off, self.touch + off)
-
-    def _check_pitch(self, first: float) -> None:
-        """Check the first pitch [degrees] against the angle of the run."""
-        angle = round(math.degrees(self.run.angle), 9)
-        if abs(first - angle) > 10:
-            raise InputError(
-                f"{self._where}: the angle is {angle:g} and the first pitch {first:.3g} degrees: "
-                "both are that of the axis from the vertical; a column in radians is 'pitch [rad]'"
-            )
 
     def _make_simulator(self, duration: float) -> Simulator:
         self._timestep = float(np.clip(duration / _STEPS, *_STEP_RANGE))
@@ -426,6 +427,46 @@ class DropTrial(Trial):
             measured_stopping_time=measured.time,
             predicted_stopping_time=predicted.time,
         )
+
+
+class ModelTrial(DropTrial):
+    """A body of a custom model: it starts from its keyframe at the first row of the record."""
+
+    def _make_simulator(self, duration: float) -> Simulator:
+        run = self.run
+        model, _ = load(Drop(run.model, keyframe=run.keyframe))
+        (body,) = find_all(model, "body", run.model_body)
+        floors = find_floors(model, geoms_in_sand(model, SandSpec()), Plane())
+        if floors:
+            raise InputError(
+                f"{self._where}: {describe_floors(model, floors, WOULD_CARRY)}: remove it from the "
+                "model, the sand is in its place"
+            )
+        data = mujoco.MjData(model)
+        start_from(model, data, run.keyframe)
+        self._body, self._steps = body, int(np.ceil(duration / model.opt.timestep)) + 2
+        self._qpos, self._qvel = data.qpos.copy(), data.qvel.copy()
+        if self._speed:
+            joint = model.body_jntadr[model.body_rootid[body]]
+            if joint < 0 or model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_FREE:
+                raise InputError(
+                    f"{self._where}: a speed is for a free joint; use a keyframe with velocities"
+                )
+            self._qvel[model.jnt_dofadr[joint] + 2] -= self._speed
+        return Simulator(model, Implicit())
+
+    def simulate(self, material: Material) -> Motion:
+        simulator = self._simulator
+        simulator.use(material)
+        if not len(simulator.depths_of(self._body)):
+            raise InputError(f"the body {self.run.model_body!r} does not meet the sand")
+        simulator.reset(self._qpos, self._qvel)
+        depth = simulator.move(self._steps, lambda: simulator.depths_of(self._body).max())
+        return Motion(depth=depth, time=simulator.model.opt.timestep * np.arange(len(depth)))
+
+    def predicted(self, outcome: Motion, shift: float | None) -> list[np.ndarray]:
+        assert outcome.time is not None
+        return [np.interp(self.since(None), outcome.time, outcome.depth)]
 
 
 # All runs of a fit

@@ -213,6 +213,22 @@ def test_names_of_before_are_aliases():
     assert referee.simulate is simulate
 
 
+def test_a_model_of_ones_own(tmp_path):
+    """The sphere as MJCF, on a slide."""
+    model = tmp_path / "ball.xml"
+    model.write_text(
+        '<mujoco><option timestep="1e-4"/><worldbody><body name="ball" pos="0 0 0.0127">'
+        '<joint type="slide" axis="0 0 1"/><geom size="0.0127" mass="0.0692"/></body></worldbody>'
+        '<keyframe><key name="thrown" qvel="-2"/></keyframe></mujoco>'
+    )
+    t, depth, _ = fall(2.0)
+    data = {"time": t, "depth": depth}
+    run = Run("ball", "model", data, model=model, model_body="ball", keyframe="thrown")
+    result = run_fit(Fit((run,), GUESS, ("quadratic", "stiffness")))
+    for name, value in TRUE.items():
+        assert result.values[name] == pytest.approx(value, rel=0.03)  # first order, 0.1 ms
+
+
 def test_rows_that_count_for_one():
     random = np.random.default_rng(5)
     assert np.mean([correlation_time(random.normal(size=200)) for _ in range(50)]) < 1.5
