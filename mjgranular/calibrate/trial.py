@@ -364,6 +364,7 @@ class DropTrial(Trial):
         self.series = (Series("depth", depth[used], float(depth.max())),)
         if "pitch" in measured:
             pitch = measured["pitch"]
+            self._check_pitch(float(pitch[0]))
             scale = max(_LEAST_PITCH, float(np.ptp(pitch)))
             self.series += (Series("pitch", pitch[used], scale),)
         self.arrest = find_arrest(self.places - self.touch, depth[used])
@@ -371,6 +372,15 @@ class DropTrial(Trial):
         if falls and self._speed > 0:  # it is fitted with the constants
             off = max(_TOUCH * float(depth.max()) / self._speed, float(np.median(np.diff(time))))
             self.shift, self.shift_range = self.touch, (self.touch - off, self.touch + off)
+
+    def _check_pitch(self, first: float) -> None:
+        """Check the first pitch [degrees] against the angle of the run."""
+        angle = round(math.degrees(self.run.angle), 9)
+        if abs(first - angle) > 10:
+            raise InputError(
+                f"{self._where}: the angle is {angle:g} and the first pitch {first:.3g} degrees: "
+                "both are that of the axis from the vertical; a column in radians is 'pitch [rad]'"
+            )
 
     def _make_simulator(self, duration: float) -> Simulator:
         self._timestep = float(np.clip(duration / _STEPS, *_STEP_RANGE))

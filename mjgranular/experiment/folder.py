@@ -102,6 +102,11 @@ def read_impact(path: Path) -> tuple[Impact, dict[str, Any], Trajectory]:
 
     def read() -> tuple[Impact, dict[str, Any], Trajectory]:
         config = read_json(files.latest_path(path, CONFIG))
+        if config.get("command") != "impact":
+            raise OutputError(
+                f"{path} holds the result of {str(config.get('command'))[:40]!r}: a video can be "
+                "made of an impact, mjgranular impact --out DIR"
+            )
         summary = read_json(files.latest_path(path, SUMMARY))
         for name in ("touchdown_time", "stopping_time"):
             number(summary, name, path / SUMMARY)
