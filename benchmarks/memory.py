@@ -26,7 +26,7 @@ from rich.console import Console
 from rich.table import Table
 
 from mjgranular.envs import tasks
-from mjgranular.envs.gaits import Tripod
+from mjgranular.envs.gaits import tripod
 
 
 @dataclass(frozen=True)
@@ -58,8 +58,7 @@ class Case:
         size = self.model.nu
         self.actions = rng.uniform(-1, 1, (count, size))
         if name == "Hexapod":
-            gait = Tripod()
-            self.actions = np.array([gait.action(k * self.task.dt, size) for k in range(count)])
+            self.actions = np.array([tripod(k * self.task.dt, size) for k in range(count)])
 
     def turn(self, piece: int = 25) -> np.ndarray:
         """Run the actions; return times of pieces of `piece` actions [s per step of the model]."""

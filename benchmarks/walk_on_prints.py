@@ -18,7 +18,7 @@ import numpy as np
 import tyro
 
 from mjgranular import add_sand
-from mjgranular.envs.gaits import Tripod
+from mjgranular.envs.gaits import tripod
 from mjgranular.models.hexapod import Hexapod
 
 
@@ -45,13 +45,13 @@ def way(seconds: float, *, turn: float, cell: float | None) -> float:
     sand = {"medium": "poppy_seed_loose", "law": "rft2d", "resolution": 2, "instead_of": "floor"}
     add_sand(spec, **sand, memory=cell)
     model = spec.compile()
-    data, gait = mujoco.MjData(model), Tripod()
+    data = mujoco.MjData(model)
     data.qpos[:] = robot.start()
     data.qpos[3], data.qpos[6] = math.cos(turn / 2), math.sin(turn / 2)
     mujoco.mj_step(model, data, 200)
     start = data.qpos[:2].copy()
     for k in range(round(seconds / 0.04)):
-        data.ctrl[:] = 0.6 * np.asarray(gait.action(0.04 * k, model.nu))
+        data.ctrl[:] = 0.6 * np.asarray(tripod(0.04 * k, model.nu))
         mujoco.mj_step(model, data, 8)
     return float(np.linalg.norm(data.qpos[:2] - start))
 

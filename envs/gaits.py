@@ -1,10 +1,10 @@
 """Scripted gaits: actions as functions of time, with parameters; for baselines and searches."""
 
+import inspect
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass, fields
-from typing import Any, ClassVar
+from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -13,111 +13,66 @@ from mjgranular.envs.task import Task, check_number
 from mjgranular.errors import InputError, UnknownNameError
 
 
-@dataclass(frozen=True)
-class Gait(ABC):
-    """Actions as a function of time; a final gait is a frozen dataclass of its parameters."""
+def travelling_wave(
+    time: float,
+    size: int,
+    *,
+    amplitude: float = 0.9,
+    frequency: float = 1.0,
+    waves: float = 1.0,
+    offset: float = 0.0,
+) -> np.ndarray:
+    """Return the actions of a sine wave of joint angles at a time [s], shape (size,).
 
-    # Range of each parameter, (low, high), for searches.
-    bounds: ClassVar[dict[str, tuple[float, float]]]
-
-    def __post_init__(self) -> None:
-        for field in fields(self):
-            check_number(f"the gait's {field.name}", getattr(self, field.name))
-
-    @abstractmethod
-    def action(self, time: float, size: int) -> np.ndarray:
-        """Return the action at a time [s], shape (size,), within [-1, 1]."""
-
-
-@dataclass(frozen=True)
-class TravellingWave(Gait):
-    """A sine wave of joint angles, from head to tail."""
-
-    bounds: ClassVar[dict[str, tuple[float, float]]] = {
-        "amplitude": (0.2, 1.0),
-        "frequency": (0.5, 6.0),
-        "waves": (0.5, 2.0),
-    }
-
-    amplitude: float = 0.9  # amplitude of the actions
-    frequency: float = 1.0  # frequency [Hz]
-    # Number of waves along the body; negative ones run from the tail to the head
-    waves: float = 1.0
-    offset: float = 0.0  # added to all actions: a constant bend
-
-    def action(self, time: float, size: int) -> np.ndarray:
-        along = np.arange(1, size + 1) / (size + 1)
-        phase = 2 * math.pi * (self.frequency * time - self.waves * along)
-        return np.clip(self.offset + self.amplitude * np.sin(phase), -1.0, 1.0)
+    Of `waves` along the body, negative ones run from the tail to the head. The frequency is in Hz,
+    and the offset, a constant bend, is added to all actions.
+    """
+    along = np.arange(1, size + 1) / (size + 1)
+    phase = 2 * math.pi * (frequency * time - waves * along)
+    return np.clip(offset + amplitude * np.sin(phase), -1.0, 1.0)
 
 
-@dataclass(frozen=True)
-class CrawlingWave(TravellingWave):
-    """A sine wave in the vertical plane; nearly one wave from head to tail moves it forward."""
+def tripod(
+    time: float,
+    size: int,
+    *,
+    stride: float = 0.8,
+    lift: float = 0.7,
+    press: float = 0.2,
+    frequency: float = 1.5,
+    duty: float = 0.5,
+) -> np.ndarray:
+    """Return the actions of a tripod gait at a time [s], shape (size,).
 
-    bounds: ClassVar[dict[str, tuple[float, float]]] = {
-        **TravellingWave.bounds,
-        "waves": (-2.0, 2.0),
-        "offset": (-0.4, 0.4),
-    }
-
-    amplitude: float = 0.6
-    waves: float = 2 / 3
-
-
-@dataclass(frozen=True)
-class Tripod(Gait):
-    """Tripod gait: front and rear leg of a side step with the middle leg of the other side."""
-
-    bounds: ClassVar[dict[str, tuple[float, float]]] = {
-        "stride": (0.2, 1.0),
-        "lift": (0.1, 1.0),
-        "press": (0.0, 0.6),
-        "frequency": (0.5, 6.0),
-        "duty": (0.4, 0.7),
-    }
-
-    stride: float = 0.8  # amplitude of the hips' actions
-    lift: float = 0.7  # height of the knees' actions while a leg steps
-    press: float = 0.2  # downward amplitude of the knees' actions while a leg stands
-    frequency: float = 1.5  # step frequency of a leg [Hz]
-    duty: float = 0.5  # share of the cycle for which a leg stands
-
-    def action(self, time: float, size: int) -> np.ndarray:
-        action = np.zeros(size)
-        for leg in range(size // 2):
-            left = leg < size // 4
-            first = (leg % 3 == 1) != left  # front and rear left, middle right
-            phase = (self.frequency * time + (0.0 if first else 0.5)) % 1.0
-            if phase < self.duty:  # stands and pushes back
-                swing = self.stride * (1 - 2 * phase / self.duty)
-                lift = -self.press
-            else:  # steps ahead
-                step = (phase - self.duty) / (1 - self.duty)
-                swing = self.stride * (2 * step - 1)
-                lift = self.lift * math.sin(math.pi * step)
-            action[2 * leg], action[2 * leg + 1] = swing, lift
-        return np.clip(action, -1.0, 1.0)
+    Front and rear leg of a side step, `frequency` times a second, with the middle leg of the other
+    side. `stride` is the amplitude of the hips' actions; those of the knees are `lift` upward while
+    a leg steps, and `press` downward while it stands, a share `duty` of the cycle.
+    """
+    action = np.zeros(size)
+    for leg in range(size // 2):
+        left = leg < size // 4
+        first = (leg % 3 == 1) != left  # front and rear left, middle right
+        phase = (frequency * time + (0.0 if first else 0.5)) % 1.0
+        if phase < duty:  # stands and pushes back
+            action[2 * leg] = stride * (1 - 2 * phase / duty)
+            action[2 * leg + 1] = -press
+        else:  # steps ahead
+            step = (phase - duty) / (1 - duty)
+            action[2 * leg] = stride * (2 * step - 1)
+            action[2 * leg + 1] = lift * math.sin(math.pi * step)
+    return np.clip(action, -1.0, 1.0)
 
 
-@dataclass(frozen=True)
-class Release(Gait):
-    """A drop without spin, at an angle: the two actions are `angle` and `spin`."""
-
-    bounds: ClassVar[dict[str, tuple[float, float]]] = {"angle": (-1.0, 1.0), "spin": (-1.0, 1.0)}
-
-    angle: float = 0.0
-    spin: float = 0.0
-
-    def action(self, time: float, size: int) -> np.ndarray:
-        return np.array([self.angle, self.spin])
+def release(time: float, size: int, *, angle: float = 0.0, spin: float = 0.0) -> np.ndarray:
+    """Return the two actions of a drop."""
+    return np.array([angle, spin])
 
 
-gaits: dict[str, type[Gait]] = {
-    "ChainSwim": TravellingWave,
-    "ChainCrawl": CrawlingWave,
-    "Hexapod": Tripod,
-    "LinkDrop": Release,
+gaits: dict[str, Callable[..., np.ndarray]] = {
+    "ChainSwim": travelling_wave,
+    "ChainCrawl": partial(travelling_wave, amplitude=0.6, waves=2 / 3),  # moves it forward
+    "Hexapod": tripod,
+    "LinkDrop": release,
 }
 """Gaits by the names of their tasks."""
 
@@ -141,10 +96,10 @@ def gait(task: Task, **parameters: Any) -> Callable[[float], np.ndarray]:
     name = type(task).__name__
     if name not in gaits:
         raise UnknownNameError("gait for", name, gaits)
-    cls = gaits[name]
-    known = [field.name for field in fields(cls)]
-    for given in parameters:
+    known = [*inspect.signature(gaits[name]).parameters][2:]
+    for given, value in parameters.items():
         if given not in known:
             raise InputError(f"the gait of {name} has no {given!r}; it has: {', '.join(known)}")
-    made, size = cls(**parameters), int(np.prod(task.action_space.shape))
-    return lambda time: made.action(time, size).astype(np.float32)
+        check_number(f"the gait's {given}", value)
+    act = partial(gaits[name], size=int(np.prod(task.action_space.shape)), **parameters)
+    return lambda time: act(time).astype(np.float32)

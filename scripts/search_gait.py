@@ -14,13 +14,26 @@ import math
 
 import numpy as np
 
-from mjgranular.envs.gaits import gaits
 from mjgranular.errors import GranularError, InputError
 from mjgranular.learn import environments
 from mjgranular.learn.agents import make_gait
 from mjgranular.learn.evaluate import AT_ONCE, parse_variant, run_episodes
 
 SEED = 20_000  # evaluations use others
+_WAVE = {"amplitude": (0.2, 1.0), "frequency": (0.5, 6.0), "waves": (0.5, 2.0)}
+BOUNDS = {
+    "ChainSwim": _WAVE,
+    "ChainCrawl": {**_WAVE, "waves": (-2.0, 2.0), "offset": (-0.4, 0.4)},
+    "Hexapod": {
+        "stride": (0.2, 1.0),
+        "lift": (0.1, 1.0),
+        "press": (0.0, 0.6),
+        "frequency": (0.5, 6.0),
+        "duty": (0.4, 0.7),
+    },
+    "LinkDrop": {"angle": (-1.0, 1.0), "spin": (-1.0, 1.0)},
+}
+"""Ranges of the parameters of gaits, (low, high), by the names of their tasks."""
 
 
 def main() -> None:
@@ -36,7 +49,7 @@ def main() -> None:
         arguments = parse_variant(options.on)
         env = environments.one(options.env, arguments)
         make_gait(options.env, env, {})  # raises without a scripted gait
-        bounds = {**gaits[type(env.unwrapped.task).__name__].bounds}
+        bounds = {**BOUNDS[type(env.unwrapped.task).__name__]}
         env.close()
         for name, _, ends in (text.partition("=") for text in options.range):
             low, _, high = ends.partition(":")

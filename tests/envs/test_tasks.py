@@ -5,7 +5,6 @@ import pickle
 import re
 import subprocess
 import sys
-from dataclasses import fields
 from functools import cache
 from pathlib import Path
 
@@ -416,10 +415,8 @@ def test_ids_are_registered_by_the_import():
     assert "SandEnv" in done.stdout
 
 
-def test_gaits_name_their_parameters():
-    for name, kind in gaits.items():
-        known = {field.name for field in fields(kind)}
-        assert set(kind.bounds) <= known
+def test_gaits_act_within_the_limits():
+    for name in gaits:
         script = gait(mjgranular.envs.tasks[name]())
         action = script(0.7)
         assert action.dtype == np.float32

@@ -28,7 +28,7 @@ from mjgranular import (
     UnstableError,
     add_sand,
 )
-from mjgranular.envs.gaits import Tripod
+from mjgranular.envs.gaits import tripod
 from mjgranular.kernel.vector import Vector
 from mjgranular.models import Hexapod
 from mjgranular.relief.footprint import footprint_of
@@ -292,13 +292,13 @@ def test_a_walk_keeps_the_books_and_heads_where_the_grid_does_not_matter() -> No
         spec = robot.spec(0.005)
         add_sand(spec, medium="poppy_seed_loose", resolution=2, instead_of="floor", memory=True)
         model = spec.compile()
-        data, gait = mujoco.MjData(model), Tripod()
+        data = mujoco.MjData(model)
         data.qpos[:] = robot.start()
         data.qpos[3], data.qpos[6] = math.cos(turn / 2), math.sin(turn / 2)
         mujoco.mj_step(model, data, 200)
         start = data.qpos[:2].copy()
         for k in range(1000):
-            data.ctrl[:] = 0.6 * np.asarray(gait.action(0.04 * k, 12))
+            data.ctrl[:] = 0.6 * np.asarray(tripod(0.04 * k, 12))
             mujoco.mj_step(model, data, 8)
             if k == 199:
                 ways.append(float(np.linalg.norm(data.qpos[:2] - start)))
