@@ -109,13 +109,7 @@ class SandVecEnv(VecEnv):
     def env_method(
         self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any
     ) -> list[Any]:
-        """Call a method of the batch, and return its result once for each simulation.
-
-        `reset` begins episodes of the requested simulations, and returns observation and `info` of
-        each; another method needs `indices` to be all simulations.
-        """
-        if method_name == "reset":
-            return self._reset_some(list(self._get_indices(indices)), *args, **kwargs)
+        """Call a method of the batch, and return its result once for each simulation."""
         self._check_all(method_name, indices)
         result = getattr(self.batch, method_name)(*args, **kwargs)
         return [result] * self.num_envs
@@ -126,19 +120,6 @@ class SandVecEnv(VecEnv):
                 f"the {self.num_envs} simulations of a batch share {name!r}: omit indices, got "
                 f"{indices}"
             )
-
-    def _reset_some(
-        self, chosen: list[int], *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> list[Any]:
-        mask = np.zeros(self.num_envs, bool)
-        mask[chosen] = True
-        observations, info = self.batch.reset(
-            seed=[seed] * self.num_envs, options={**(options or {}), "reset_mask": mask}
-        )
-        infos = _split(info, mask)
-        for number in chosen:
-            self.reset_infos[number] = infos[number]
-        return [(observations[number].copy(), infos[number]) for number in chosen]
 
     def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
         """Return False for each simulation: batches are not wrapped."""

@@ -167,17 +167,9 @@ def test_stable_baselines_sees_what_it_sees_of_single_environments(name):
         assert one.keys() == other.keys()
 
 
-def test_methods_act_on_the_simulations_that_are_named():
+def test_methods_act_on_all_simulations():
     vec = make_vec_env(id_of("Hopper"), 3, seed=0)
-    before = vec.reset()
-    vec.step(np.zeros((3, 3), np.float32))
-    moved = vec.batch.task.observation(vec.batch._state).copy()
-    ((begun, info),) = vec.env_method("reset", indices=[1], seed=1)
-    now = vec.batch.task.observation(vec.batch._state)
-    assert np.array_equal(now[[0, 2]], moved[[0, 2]])
-    assert np.array_equal(begun, now[1])
-    assert np.array_equal(begun, before[1])  # the first episode had seeds 0, 1, 2
-    assert "sand/depth" in info
+    vec.reset()
     assert len(vec.env_method("render")) == 3
     for call in (vec.set_attr, vec.env_method):
         with pytest.raises(InputError, match="share 'render_mode': omit indices, got 2"):

@@ -148,11 +148,10 @@ def test_what_was_searched_is_said(beside: Path) -> None:
     ("named", "said"),
     [
         ("my_quad:MyQuadSnd-v0", "importing my_quad has registered no MyQuadSnd-v0"),
-        ("my_quad:MyQuadSnd-v0", "did you mean my_quad:MyQuadSand-v0"),
+        ("my_quad:MyQuadSnd-v0", "did you mean MyQuadSand-v0"),
         ("my_quad:", "lacks the id behind the colon"),
         (":MyQuad-v0", "name it as in an import, my_module"),
-        ("my_quad.py", "one that my_quad.py registers is named my_quad:ID"),
-        ("my_quad", "one that my_quad.py registers is named my_quad:ID"),
+        ("my_quad", "is named with its module, my_module:My-v0"),
         ("needy:A-v0", "it needs nowhere_to_be_found, which is not installed"),
         ("script:A-v0", '__name__ == "__main__"'),
     ],
