@@ -28,7 +28,6 @@ _RINGS = 4  # angles of rays to the normal, two opposite ones at each; chosen
 _TOUCH, _ITSELF = 1e-6, 1e-2
 
 _CORNERS = ((-0.5, -0.5), (-0.5, 0.5), (0.5, -0.5), (0.5, 0.5))  # where rays start, in half edges
-_SPREAD = 0.46  # tangent of the largest angle between ray and normal
 
 # Maximum number of parts that count along a ray; arcs are followed in at most `_CHORDS` chords of
 # `_CHORD` radians. Chosen.
@@ -148,17 +147,11 @@ def exposures(model: mujoco.MjModel, data: mujoco.MjData, facets: np.ndarray) ->
             continue  # one convex skin
         sight.show(geoms)
         hinge = _hinge(model, weld)
-        frames = np.concatenate([edges[mine], normals[mine, None]], axis=1)
         # Upper bound of the distance from a patch's center to its curved surface.
         bulges = np.einsum(
             "ni,ni->n", *(np.linalg.norm(facets[k][mine], axis=2) for k in ("edges", "spread"))
         )
         for k, row in enumerate(mine):
-            # Of several geoms, one may hide the facets of another, so all rays are cast.
-            if len(geoms) == 1 and not _anything_ahead(
-                k, *_unrolled(hinge, k, points[mine], frames), bulges
-            ):
-                continue
             n, (first, second), width = normals[row], edges[row], facets["width"][row]
             start = points[row] + (bulges[k] + _TOUCH * width) * n
             axes = np.vstack([_axes_across(n, first), n])
@@ -308,43 +301,6 @@ def _chords(
         end = middle + (far * math.cos(angle), far * math.sin(angle), along * k * step) @ axes
         yield begin, end - begin
         begin = end
-
-
-def _unrolled(
-    hinge: _Hinge | None, row: int, at: np.ndarray, axes: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return centers and axes of facets, with arcs from one of them unrolled to straight lines."""
-    if hinge is None:
-        return at, axes
-    radius, own = hinge.frame(at[row])
-    away = at - hinge.anchor
-    out = away - (away @ hinge.axis)[:, None] * hinge.axis
-    far = np.maximum(np.linalg.norm(out, axis=1), 1e-12)
-    out = out / far[:, None]
-    angle = np.arctan2(out @ own[1], out @ own[0])
-    places = np.stack([far, radius * angle, away @ hinge.axis], axis=-1) @ own
-    theirs = np.stack([out, np.cross(hinge.axis, out), np.tile(hinge.axis, (len(at), 1))], axis=1)
-    stretch = np.stack([np.ones(len(at)), radius / far, np.ones(len(at))], axis=-1)
-    parts = np.einsum("nki,nji->nkj", axes, theirs) * stretch[:, None]
-    turned = parts @ own
-    turned[:, 2] = np.einsum("nki,nji->nkj", axes, theirs)[:, 2] @ own
-    return places, turned
-
-
-def _anything_ahead(row: int, at: np.ndarray, axes: np.ndarray, bulge: np.ndarray) -> bool:
-    """Return whether rays from a facet, a row, can hit others of the same rigid body.
-
-    Of all, `at` are the centers, `axes` half edges and normals, and `bulge` is how far the surfaces
-    may stand out from their planes.
-    """
-    n = axes[row, 2]
-    away = at - at[row]
-    ahead = away @ n + np.abs(axes[:, :2] @ n).sum(axis=1) + bulge
-    reach = np.linalg.norm(axes[:, :2], axis=2).sum(axis=1)
-    aside = np.linalg.norm(away - (away @ n)[:, None] * n, axis=1) - reach - reach[row]
-    found = (ahead > _TOUCH * reach[row]) & (aside < _SPREAD * ahead)
-    found[row] = False
-    return bool(found.any())
 
 
 def _lobe() -> np.ndarray:
