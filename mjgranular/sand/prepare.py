@@ -7,14 +7,13 @@ import numpy as np
 
 from mjgranular.errors import CostWarning, InputError
 from mjgranular.kernel.compiled import program_addresses
-from mjgranular.law import Law, laws, make_scene
+from mjgranular.law import Law, make_scene
 from mjgranular.law.kernel import LawKernel
-from mjgranular.medium.medium import DYNAMIC
 from mjgranular.relief.footprint import Footprint, fitting
 from mjgranular.relief.memory import as_memory
 from mjgranular.relief.update import update_program
 from mjgranular.sand import advice
-from mjgranular.sand.chosen import ChosenSand, choose_sand, geoms_in_sand, kernel_under, remembering
+from mjgranular.sand.chosen import ChosenSand, choose_sand, geoms_in_sand, remembering
 from mjgranular.sand.spec import SandSpec, combined
 from mjgranular.scheme import Auto, Explicit, Scheme, get_scheme
 from mjgranular.scheme.auto import FINE_STEP
@@ -64,7 +63,7 @@ def prepare(model: mujoco.MjModel, spec: SandSpec, *, within: bool = False) -> P
         scene["surface"]["spheres"] = footprint.spheres.ctypes.data
         scene["surface"]["feet"] = footprint.feet.ctypes.data
         scene["surface"]["foot_count"] = len(footprint.feet)
-    kernel = kernel_under(model, chosen, surface, footprint)
+    kernel = law.kernel(surface)
     law_name, scheme_name = f"law {law.name}", f"scheme {scheme.name}"
     parts = f"{law_name}, {scheme_name}, {type(surface).__name__}"
     sampling = scheme.sampling(kernel, scene.dtype)
@@ -109,7 +108,8 @@ def _scheme_within_step(scheme: SchemeChoice, model: mujoco.MjModel, law: Law) -
             raise InputError(
                 "a force that belongs to the end of the step has no place in the four stages of "
                 "the integrator RK4: set the model's integrator to implicitfast, implicit or "
-                f"Euler, or {_without_end_of_step(law)}scheme='explicit' with steps of microseconds"
+                "Euler, or scheme='explicit' with steps of microseconds"
+                f"{' and a law without added mass' if law.adds_mass else ''}"
             )
         if fine:
             scheme = Explicit()
@@ -117,12 +117,3 @@ def _scheme_within_step(scheme: SchemeChoice, model: mujoco.MjModel, law: Law) -
         # Between mj_step1 and mj_step2 RK4 would act as Euler: an error. Within mj_step it is RK4.
         model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
     return scheme
-
-
-def _without_end_of_step(law: Law) -> str:
-    """Say what to use with the explicit scheme in place of an unsupported law."""
-    if not law.adds_mass:
-        return ""
-    slow = law.name.removesuffix(DYNAMIC)
-    named = f"law={slow!r}" if slow in laws and slow != law.name else "a law without added mass"
-    return f"{named}, which is quasi-static, and "

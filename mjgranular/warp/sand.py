@@ -15,7 +15,7 @@ from mjgranular.medium import Medium, get_medium
 from mjgranular.relief.footprint import fitting
 from mjgranular.relief.memory import Heights, as_memory
 from mjgranular.relief.relief import Relief, place_in_plane
-from mjgranular.sand.chosen import choose_sand, kernel_under, remembering
+from mjgranular.sand.chosen import choose_sand, remembering
 from mjgranular.sand.spec import SandFields, SandSpec, combined
 from mjgranular.scheme import Auto, Implicit, get_scheme
 from mjgranular.warp.constraints import Constraints
@@ -140,7 +140,7 @@ class WarpSand:
         self._memory: WarpMemory | None = None
         self._corrections, self._softness = corrections, float(softness)
         self._scene = make_scene(chosen.law, chosen.medium, self.surface, model)
-        self._kernel = kernel_under(model, chosen, self.surface, self._footprint, forces_alone=True)
+        self._kernel = self.law.kernel_of_forces(self.surface)
         self._slots, self._chain = slots_of(model, chosen.elements)
         self.bodies = tuple(model.body(int(body)).name or str(body) for body in self._slots["body"])
         self._attached_to: Any = None
