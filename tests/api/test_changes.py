@@ -34,12 +34,12 @@ def change(model, name, row, value):
 @pytest.mark.parametrize(
     ("name", "row", "value", "said"),
     [
-        ("geom_size", (0, 0), 0.2, "geom_size of geom 'foot'"),
-        ("geom_pos", (0, 2), 0.1, "geom_pos of geom 'foot'"),
-        ("geom_quat", 2, [0, 1, 0, 0], "geom_quat of geom 'hand'"),
-        ("geom_type", 0, 6 - 2, "geom_type of geom 'foot'"),
-        ("geom_contype", 1, 1, "whether geom 'seen' meets the sand"),
-        ("body_pos", (2, 0), 0.3, "body_pos of body 'arm'"),
+        ("geom_size", (0, 0), 0.2, "geom_size of the model"),
+        ("geom_pos", (0, 2), 0.1, "geom_pos of the model"),
+        ("geom_quat", 2, [0, 1, 0, 0], "geom_quat of the model"),
+        ("geom_type", 0, 6 - 2, "geom_type of the model"),
+        ("geom_contype", 1, 1, "selection of geoms that meet the sand"),
+        ("body_pos", (2, 0), 0.3, "body_pos of the model"),
         ("jnt_axis", (1, 0), 1.0, "jnt_axis"),
         ("mesh_vert", (0, 0), 0.01, "mesh_vert"),
     ],
@@ -55,7 +55,7 @@ def test_a_report_looks_at_the_shapes_of_geoms(sand):
     data = mujoco.MjData(sand.model)
     sand.report(data)
     sand.model.geom_size[0] *= 2
-    with pytest.raises(InputError, match="geom_size of geom 'foot'"):
+    with pytest.raises(InputError, match="geom_size of the model"):
         sand.report(data)
 
 
