@@ -165,20 +165,11 @@ class Heights:
 
 def checked_state(saved: Any, size: int) -> np.ndarray:
     """Check a stored state of a surface that a user passes back."""
-    try:
-        state = np.asarray(saved, float)
-    except (TypeError, ValueError):
-        raise InputError(f"what the sand remembers is {size} numbers, not {shown(saved)}") from None
-    if state.shape != (size,):
+    state = np.asarray(saved)
+    if state.shape != (size,) or state.dtype.kind not in "iuf" or not np.isfinite(state).all():
         raise InputError(
-            f"what this sand remembers is {size} numbers, as `save_memory` gives them, not an "
-            f"array of shape {state.shape}: a memory of other cells or extent has others"
-        )
-    wrong = np.flatnonzero(~np.isfinite(state))
-    if len(wrong):
-        raise InputError(
-            f"what the sand remembers must be finite numbers: {len(wrong)} of {size} are not, the "
-            f"first is number {wrong[0]}, {state[wrong[0]]}; nothing was changed"
+            f"what this sand remembers is {size} finite numbers, as `save_memory` gives them, not "
+            f"{shown(saved)}: a memory of other cells or extent has others"
         )
     return state
 

@@ -7,8 +7,7 @@ import math
 import pickle
 import sys
 import threading
-from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -29,7 +28,6 @@ from mjgranular import (
     add_sand,
 )
 from mjgranular.envs.gaits import tripod
-from mjgranular.kernel.vector import Vector
 from mjgranular.models import Hexapod
 from mjgranular.relief.footprint import footprint_of
 from mjgranular.relief.grid import (
@@ -423,14 +421,14 @@ def test_memory_is_saved_and_restored_and_bad_numbers_change_nothing() -> None:
     expected = run(sand, data, 250)
     sand, other = dropped()  # a sand of another process, perhaps
     mujoco.mj_setState(sand.model, other, state, kind)
-    for wrong, message in (
-        (np.where(np.arange(len(saved)) == 20, math.nan, saved), "1 of .* the first is number 20"),
-        (np.full(len(saved), math.inf), "must be finite numbers"),
-        (saved[:-1], "as `save_memory` gives them, not an array of shape"),
-        ("heights", "is .* numbers, not 'heights'"),
+    for wrong in (
+        np.where(np.arange(len(saved)) == 20, math.nan, saved),
+        np.full(len(saved), math.inf),
+        saved[:-1],
+        "heights",
     ):
         before = sand.save_memory(other)
-        with pytest.raises(InputError, match=message):
+        with pytest.raises(InputError, match="finite numbers, as `save_memory` gives them, not"):
             sand.restore_memory(other, wrong)  # type: ignore[arg-type]
         np.testing.assert_array_equal(sand.save_memory(other), before)
     sand.restore_memory(other, saved)
@@ -449,17 +447,6 @@ def test_a_step_allocates_nothing() -> None:
     for _ in loop:
         step(data)
     assert sys.getallocatedblocks() - before < 50
-
-
-def test_ground_that_is_finer_than_cells_is_told() -> None:
-    with pytest.warns(GranularWarning, match=r"10 mm are too large for the bed 'tray'.* 30 mm"):
-        Pushed(bed=0.015, surface=Bed("tray"), instead_of=None, memory=memory())
-    text = """<mujoco><asset><hfield name="field" nrow="401" ncol="401" size="1 1 0.2 0.1"/>
-    </asset><worldbody><geom name="field" type="hfield" hfield="field"/>
-    <body pos="0 0 1"><freejoint/>{}</body></worldbody></mujoco>"""
-    model = mujoco.MjModel.from_xml_string(text.format(BALL))
-    with pytest.warns(GranularWarning, match=r"cells of 10 mm .*'field'.* are 5 mm apart"):
-        Sand(model, law=LAW, scheme="explicit", surface=HeightField("field"), memory=memory())
 
 
 def test_what_starts_buried_is_told_and_what_stands_in_the_sand_is_taken_as_placed() -> None:
@@ -644,27 +631,3 @@ def test_spheres_hold_all_points_of_their_tiles() -> None:
     far = np.linalg.norm(footprint.points[:, :3] - centers, axis=1).max(axis=1)
     assert (far < radii).all()
     np.testing.assert_allclose(far, radii, rtol=1e-6)
-
-
-class Middle(NamedTuple):
-    """All that a law of one's own reads of a geom: where its middle is."""
-
-    center: Vector
-
-
-class MiddleLaw(DepthVelocityLaw):
-    """A law that looks for sand there."""
-
-    name = "middle"
-
-    def kernel(self, surface: Any) -> Any:
-        return replace(super().kernel(surface), element=Middle)
-
-
-def test_a_law_that_looks_in_the_middle_of_bodies_is_refused() -> None:
-    """Their skin presses the sand down, and there is none in the middle: they would sink."""
-    law = MiddleLaw(stiffness=100.0)
-    with pytest.raises(
-        InputError, match=r"'middle' looks for sand in the middle .* mm inside the skin"
-    ):
-        Pushed(BALL, law=law, memory=memory())
