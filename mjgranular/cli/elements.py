@@ -36,8 +36,8 @@ class ElementsCommand(options_of(Drop, *_CHOICE)):
     """The MJCF file."""
     figure: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """File for the figure, .png, .svg or .pdf."""
-    color: Literal["body", "geom", "depth"] = "body"
-    """Meaning of colors in the figure; depth is that below the plane z = 0."""
+    color: Literal["body", "geom"] = "body"
+    """Meaning of colors in the figure."""
     overwrite: Flag = False
     """Replace a figure that exists."""
     json: Flag = False

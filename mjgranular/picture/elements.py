@@ -17,7 +17,6 @@ from mjgranular.picture.figures import plain
 from mjgranular.picture.scene import add_arrow
 from mjgranular.picture.shown import (
     AROUND,
-    DEPTHS,
     INK,
     RED,
     Color,
@@ -89,7 +88,7 @@ def draw_elements(
         sand: the sand whose elements are drawn.
         qpos: positions of the bodies; None for the model's `qpos0`.
         qvel: their velocities; None for zero. Only affects `forces`.
-        color: meaning of the colors: "body", "geom", or "depth" below the surface.
+        color: meaning of the colors: "body" or "geom".
         normals: whether normals of facets are drawn.
         forces: whether the sand's force on each element is drawn, as an arrow.
         title: first line above the picture, above the counts.
@@ -177,10 +176,7 @@ def _draw(figure: Any, shown: Shown, surface: Any, *, normals: bool, forces: boo
     if isinstance(surface, Plane):
         _draw_plane(axes, art, surface, low, high)
     _set_axes(axes, low, high)
-    if shown.names:
-        _draw_legend(figure, shown.names)
-    else:
-        _draw_scale(figure, shown.report.table.depth)
+    _draw_legend(figure, shown.names)
 
 
 def _shaded(polygons: np.ndarray, colors: np.ndarray) -> np.ndarray:
@@ -233,22 +229,6 @@ def _draw_legend(figure: Any, names: dict[str, np.ndarray]) -> None:
     figure.legend(handles=handles, loc="upper right", bbox_to_anchor=(0.99, 0.90))
 
 
-def _draw_scale(figure: Any, depth: np.ndarray) -> None:
-    cm = require("matplotlib.cm", extra="figures", purpose="Drawing elements")
-    colors = require("matplotlib.colors", extra="figures", purpose="Drawing elements")
-    low, high = float(depth.min()), float(depth.max())
-    scale = cm.ScalarMappable(
-        colors.Normalize(low, high), colors.LinearSegmentedColormap.from_list("depth", DEPTHS)
-    )
-    bar = figure.colorbar(scale, cax=figure.add_axes((0.92, 0.27, 0.02, 0.44)))
-    bar.set_label("depth below the surface [m]")
-    bar.ax.invert_yaxis()
-    bar.ax.tick_params(labelsize=8)
-    bar.outline.set_visible(False)
-    if low < 0 < high:
-        bar.ax.axhline(0.0, color=INK, linewidth=1.2)
-
-
 def add_elements(
     scene: mujoco.MjvScene,
     sand: Sand,
@@ -270,7 +250,7 @@ def add_elements(
         scene: the scene to add to.
         sand: the sand whose elements are drawn.
         data: the simulation.
-        color: meaning of the colors: "body", "geom", or "depth" below the surface.
+        color: meaning of the colors: "body" or "geom".
         normals: whether normals of facets are drawn.
         forces: whether the sand's force on each element is drawn, as an arrow.
         force_scale: length of an arrow of one newton [m]; None to make the largest of the instant

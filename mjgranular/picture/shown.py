@@ -11,15 +11,13 @@ from mjgranular.errors import InputError, UnknownNameError
 from mjgranular.sand import Report, Sand
 
 Kind = Literal["rods", "facets", "blobs"]
-Color = Literal["body", "geom", "depth"]
+Color = Literal["body", "geom"]
 
 # A field that only the elements of this kind have.
 _MARKS: dict[str, Kind] = {"half_length": "rods", "normal": "facets", "halves": "blobs"}
 
 # Okabe and Ito's colors, which color-blind readers can distinguish.
 _PALETTE = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#8A8A8A", "#F0E442")
-DEPTHS = ("#F7E3B5", "#E0A85E", "#B0653B", "#6B3A3A", "#2B1B33")
-"""Colors from shallow to deep."""
 AROUND = 24
 """Number of corners of a drawn circle."""
 _LEAST_SHARE = 0.25  # least area of the edges' parallelogram, relative to the facet's; else a disc
@@ -37,26 +35,22 @@ class Shown:
     turn: np.ndarray  # rotation matrix of each element's body, axes in columns, shape (n, 3, 3)
     report: Report  # the sand's action on them
     colors: np.ndarray  # red, green and blue, 0 to 1, shape (n, 3)
-    # Meaning of the colors, in the order of the model; empty for depths
-    names: dict[str, np.ndarray]
+    names: dict[str, np.ndarray]  # colors by the names that they stand for
 
     @classmethod
     def at(cls, sand: Sand, data: mujoco.MjData, color: str) -> Self:
         """Return the elements at the state in `data`."""
         kind, elements, report = kind_of(sand), sand.elements, sand.report(data)
-        if color == "depth":
-            names, colors = {}, _depth_colors(report.table.depth)
-        elif color in get_args(Color):
-            words = report.names.bodies if color == "body" else report.names.geoms
-            ids, rank = np.unique(elements[color], return_inverse=True)
-            tints = np.array([rgb(_PALETTE[k % len(_PALETTE)]) for k in range(len(ids))])
-            names = {words[int(i)]: tint for i, tint in zip(ids, tints, strict=True)}
-            colors = tints[rank]
-            if kind == "rods":  # every other piece of a geom darker, to tell them apart
-                _, first, geom = np.unique(elements["geom"], return_index=True, return_inverse=True)
-                colors[(np.arange(len(elements)) - first[geom]) % 2 == 1] *= 0.75
-        else:
+        if color not in get_args(Color):
             raise UnknownNameError("way to color elements", color, get_args(Color))
+        words = report.names.bodies if color == "body" else report.names.geoms
+        ids, rank = np.unique(elements[color], return_inverse=True)
+        tints = np.array([rgb(_PALETTE[k % len(_PALETTE)]) for k in range(len(ids))])
+        names = {words[int(i)]: tint for i, tint in zip(ids, tints, strict=True)}
+        colors = tints[rank]
+        if kind == "rods":  # every other piece of a geom darker, to tell them apart
+            _, first, geom = np.unique(elements["geom"], return_index=True, return_inverse=True)
+            colors[(np.arange(len(elements)) - first[geom]) % 2 == 1] *= 0.75
         body = elements["body"]
         turn = data.xmat[body].reshape(-1, 3, 3)
         return cls(kind, elements, data.xpos[body], turn, report, colors, names)
@@ -130,14 +124,6 @@ def rgb(color: str) -> np.ndarray:
 def with_alpha(colors: np.ndarray, alpha: float) -> np.ndarray:
     """Add an opacity to colors, shape (n, 4)."""
     return np.column_stack([colors, np.full(len(colors), alpha)])
-
-
-def _depth_colors(depth: np.ndarray) -> np.ndarray:
-    """Return the colors of depths, from the shallowest to the deepest, shape (n, 3)."""
-    stops = np.array([rgb(color) for color in DEPTHS])
-    share = (depth - depth.min()) / max(float(np.ptp(depth)), 1e-300)
-    at = np.linspace(0, 1, len(stops))
-    return np.stack([np.interp(share, at, stops[:, k]) for k in range(3)], axis=1)
 
 
 def polygons_of(shown: Shown) -> tuple[np.ndarray, np.ndarray]:

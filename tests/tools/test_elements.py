@@ -186,20 +186,19 @@ def test_axes_of_the_figure_have_one_scale(facets):
     assert axes.get_xlabel() == "x [m]"
 
 
-def test_the_figure_follows_qpos_and_depth(facets, tmp_path):
+def test_the_figure_follows_qpos(facets, tmp_path):
     qpos = facets.model.qpos0.copy()
     qpos[2] += 1.0
     qvel = np.full(facets.model.nv, -0.1)
     for name, options in (
         ("raised.png", {"qpos": qpos}),
-        ("depth.svg", {"color": "depth", "forces": True, "qvel": qvel}),
+        ("pushed.svg", {"forces": True, "qvel": qvel}),
         ("bare.pdf", {"color": "geom", "normals": False, "forces": True}),
     ):
         figure = draw_elements(facets, file=tmp_path / name, **options)
         assert (tmp_path / name).stat().st_size > 10_000
         low = figure.axes[0].get_zlim()[0]
         assert (low > 0.9) == (name == "raised.png")
-    assert len(draw_elements(facets, color="depth").axes) == 2  # with a scale of depth
 
 
 @pytest.mark.parametrize(
@@ -207,7 +206,7 @@ def test_the_figure_follows_qpos_and_depth(facets, tmp_path):
     [
         ({"qpos": [0.0, 1.0]}, errors.InputError, r"qpos must have shape \(8,\), not \(2,\)"),
         ({"qvel": [math.nan] * 7}, errors.InputError, "qvel must be finite"),
-        ({"color": "red"}, errors.UnknownNameError, "body, geom, depth"),
+        ({"color": "red"}, errors.UnknownNameError, "body, geom"),
         ({"file": "foot.bmp"}, errors.InputError, r"\.png, \.svg or \.pdf, not '\.bmp'"),
         ({"file": "nowhere/foot.png"}, OutputError, "cannot write"),
     ],
@@ -259,7 +258,7 @@ def test_a_scene_gets_elements_normals_and_forces(facets):
 def test_a_scene_gets_rods_and_blobs(rods, blobs):
     scene = scene_of(rods, at_qpos0(rods))
     before = scene.ngeom
-    assert add_elements(scene, rods, at_qpos0(rods), color="depth") == 40
+    assert add_elements(scene, rods, at_qpos0(rods), color="geom") == 40
     np.testing.assert_allclose(scene.geoms[before].size, [0.005, 0.005, 0.005 * GAP], rtol=1e-6)
     scene = scene_of(blobs, at_qpos0(blobs))
     before = scene.ngeom
@@ -371,7 +370,7 @@ def test_wrong_groups(foot_file, capfd, command):
 def test_the_command_writes_a_figure(tmp_path, capfd):
     pendulum = ["elements", str(model_path("double_pendulum")), "--law", "link"]
     figure = tmp_path / "deep" / "cut.svg"
-    draw = [*pendulum, "--keyframe", "start", "--figure", str(figure), "--color", "depth"]
+    draw = [*pendulum, "--keyframe", "start", "--figure", str(figure), "--color", "geom"]
     assert main(draw) == 0
     assert "written to" in capfd.readouterr().out
     assert [path.name for path in figure.parent.iterdir()] == ["cut.svg"]

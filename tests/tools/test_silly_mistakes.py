@@ -141,7 +141,7 @@ drop block.xml floor.xml | Unrecognized options: floor.xml
 view block.xml --speed 0 | the speed must be positive and finite
 view block.xml --draw arrows | invalid choice 'arrows' for argument '--draw'. Expected one of
 elements block.xml --figure block.bmp | a figure is written as .png, .svg or .pdf, not
-elements block.xml --color depth | --color is for a figure: add --figure FILE
+elements block.xml --color geom | --color is for a figure: add --figure FILE
 elements block.xml --figure old | a figure is written as .png, .svg or .pdf, not
 elements block.xml --color red | invalid choice 'red' for argument '--color'. Expected one of
 elements block.xml --law link --medium glass_beads | no constants in medium 'glass_beads' for law
