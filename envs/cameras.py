@@ -1,12 +1,12 @@
 """Rendering of a simulation, to images or a window."""
 
-import warnings
 from typing import Any
 
 import mujoco
 import numpy as np
 
 from mjgranular._util.checks import check_count
+from mjgranular._util.window import has_display
 from mjgranular.envs.dunes import DUNES
 from mjgranular.envs.task import Task
 from mjgranular.errors import InputError, RenderError, UnknownNameError, drawing
@@ -81,7 +81,7 @@ class Cameras:
 
     def _show(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         if self._viewer is None:
-            if not _has_screen():  # GLFW would end the process
+            if not has_display():  # GLFW would end the process
                 raise RenderError(
                     "render_mode='human' needs a screen and there is none here: "
                     "use render_mode='rgb_array'"
@@ -105,11 +105,3 @@ def _free(settings: dict[str, Any]) -> mujoco.MjvCamera:
         else:
             setattr(camera, name, value)
     return camera
-
-
-def _has_screen() -> bool:
-    import glfw
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        return bool(glfw.init()) and glfw.get_primary_monitor() is not None

@@ -5,7 +5,6 @@ import os
 import sys
 import threading
 import time
-import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -13,6 +12,7 @@ from typing import Any
 
 import mujoco
 
+from mjgranular._util.window import has_display
 from mjgranular.errors import RenderError
 
 FRAME = 1 / 60
@@ -39,34 +39,11 @@ class Switch:
 
 def check_display() -> None:
     """Check that a window can be opened: without one MuJoCo's viewer waits forever."""
-    shown = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-    if sys.platform.startswith("linux") and not shown:
-        raise RenderError(f"a window needs a display (DISPLAY is not set); {_FILM}")
-    if sys.platform == "darwin":
-        return  # windows belong to mjpython's thread, and MuJoCo says so itself
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        opens = _opens_a_window()
-    if not opens:
-        reasons = [str(warning.message) for warning in caught]
-        reason = f" ({reasons[-1]})" if reasons else ""
-        raise RenderError(f"no window can be opened on this display{reason}; {_FILM}")
-
-
-def _opens_a_window() -> bool:
-    try:
-        glfw: Any = importlib.import_module("glfw")
-    except ImportError as error:
-        warnings.warn(str(error), stacklevel=2)
-        return False
-    if not glfw.init():
-        return False
-    glfw.window_hint(glfw.VISIBLE, glfw.FALSE)
-    window = glfw.create_window(64, 64, "mjgranular", None, None)
-    if window:
-        glfw.destroy_window(window)
-    glfw.terminate()
-    return bool(window)
+    # On macOS windows belong to mjpython's thread, and MuJoCo says so itself.
+    if sys.platform != "darwin" and not has_display():
+        raise RenderError(
+            f"no window can be opened here, DISPLAY is {os.environ.get('DISPLAY')!r}; {_FILM}"
+        )
 
 
 @contextmanager

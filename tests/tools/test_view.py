@@ -114,7 +114,7 @@ def test_a_display_that_does_not_open_is_told(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(sys, "platform", "linux")
     monkeypatch.setenv("DISPLAY", ":99999")
     monkeypatch.setitem(sys.modules, "glfw", SimpleNamespace(init=lambda: False))
-    with pytest.raises(RenderError, match="no window can be opened on this display"):
+    with pytest.raises(RenderError, match="no window can be opened here, DISPLAY is ':99999'"):
         check_display()
 
 
