@@ -28,9 +28,9 @@ def robot_path(robot: str | Path) -> Path:
     """
     if not isinstance(robot, (str, Path)):
         raise InputError(f"a robot must be a name or a path, not {kind_of(robot)}")
-    if not is_name(robot):
-        return Path(robot)
     name = str(robot)
+    if not (name.isidentifier() and name.islower()) or Path(name).exists():
+        return Path(robot)
     file = f"{name}/{name.rpartition('_')[2]}.xml"  # unitree_go1/go1.xml
     remedy = f"give the path of its MJCF, or set {ROOT} to a folder that has {file}"
     root = os.environ.get(ROOT)
@@ -50,9 +50,3 @@ def robot_path(robot: str | Path) -> Path:
     except (menagerie.MenagerieError, OSError) as error:
         reason = " ".join(str(error).split())
         raise InputError(f"cannot get the robot {name}: {reason}; {remedy}") from None
-
-
-def is_name(robot: str | Path) -> bool:
-    """Return True for a robot's name: a lower-case identifier that is not a file."""
-    text = str(robot)
-    return text.isidentifier() and text.islower() and not Path(text).exists()

@@ -2,7 +2,7 @@
 
 import warnings
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -17,9 +17,8 @@ from mjgranular.errors import FloorWarning, InputError
 from mjgranular.experiment.drop import Drop, loading, read, start_from
 from mjgranular.picture.elements import check_file, count, draw_elements, kind_of
 from mjgranular.sand import Sand
-from mjgranular.sand.advice import Cost
 from mjgranular.sand.report import Names
-from mjgranular.scheme import Explicit, Implicit
+from mjgranular.scheme import Explicit
 
 _CHOICE = ("medium", "law", "resolution", "bodies", "geoms", "groups", "keyframe")
 
@@ -74,7 +73,7 @@ class ElementsCommand(options_of(Drop, *_CHOICE)):
         return sand, data.qpos
 
     def _show(self, sand: Sand) -> None:
-        kind, rows, cost = kind_of(sand), list(_rows(sand)), Cost.of(len(sand.elements), Implicit())
+        kind, rows = kind_of(sand), list(_rows(sand))
         sums = {"area": ("area\n[cm^2]", 1e4), "length": ("length\n[mm]", 1e3)}
         totals: dict[str, Any] = {"elements": len(sand.elements)}
         for key in sums:
@@ -87,7 +86,7 @@ class ElementsCommand(options_of(Drop, *_CHOICE)):
             "kind": kind,
         }
         if self.json:
-            print_json({**names, **totals, "cost": asdict(cost), "geoms": rows})
+            print_json({**names, **totals, "geoms": rows})
             return
         sums = {key: sums[key] for key in sums if totals[key] is not None}
 
@@ -106,7 +105,6 @@ class ElementsCommand(options_of(Drop, *_CHOICE)):
         units = [heading for heading, _ in sums.values()]
         headings = ("body", "geom", "shape", kind, *units, "width\n[mm]")
         out.print(table(title, headings, map(cells, rows), words=3))
-        out.print(f"cost: {cost}")
 
 
 def _rows(sand: Sand) -> Iterator[dict[str, Any]]:

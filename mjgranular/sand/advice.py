@@ -7,7 +7,7 @@ Limits without a source are chosen.
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -30,7 +30,6 @@ from mjgranular.relief.memory import REPOSE, Memory
 from mjgranular.relief.relief import frame_of
 from mjgranular.sand.material import DEFAULT_MEDIUM, law_named_in
 from mjgranular.sand.spec import SandSpec
-from mjgranular.scheme import Explicit, Scheme
 from mjgranular.shape.select import body_name, collides, is_choice, mocap_above, moves
 from mjgranular.shape.sizes import FACETS, LARGEST, RESOLUTION, geom_name, geom_width, half_extents
 from mjgranular.surface import Bed, HeightField, Plane, Surface
@@ -62,20 +61,6 @@ def warn(checks: Iterable[tuple[Callable[..., Iterator[str]], Any]], *arguments:
 
 
 # Parts of the model that the sand ignores
-
-
-def mocap_bodies_in_sand(case: Case) -> Iterator[str]:
-    """Check that no body in the sand moves with a mocap body, whose motion has no velocity."""
-    model = case.model
-    for body in case.bodies:
-        mocap = mocap_above(model, body)
-        if mocap is not None:
-            yield (
-                f"body {body_name(model, body)} hangs on mocap body {body_name(model, mocap)}, to "
-                "which MuJoCo gives no velocity: the sand feels the motion of the joints between "
-                "them alone; <weld> a free body to the mocap body, and hang it on that"
-            )
-            return
 
 
 def touch_sensors(case: Case) -> Iterator[str]:
@@ -410,29 +395,6 @@ MANY = 20_000
 """Number of elements above which a warning is given. Chosen: with all of them in the sand a step
 takes twice the two milliseconds that models of robots have for a time step."""
 
-# Per element [s], from docs/benchmarks.md and, for many bodies, benchmarks/meshes.py.
-_ABOVE = 2e-9
-_EXPLICIT = 16e-9
-_IMPLICIT = 0.2e-6
-
-
-@dataclass(frozen=True)
-class Cost:
-    """What the sand adds to a step [s], within a factor of two on today's machines."""
-
-    above: float  # with all elements above the sand
-    within: float  # with all of them in it
-
-    @classmethod
-    def of(cls, count: int, scheme: Scheme) -> Self:
-        """Return the cost of `count` elements."""
-        each = _EXPLICIT if isinstance(scheme, Explicit) else _IMPLICIT
-        return cls(count * _ABOVE, count * each)
-
-    def __str__(self) -> str:
-        above, within = (f"{1e3 * seconds:.1g} ms" for seconds in (self.above, self.within))
-        return f"roughly {above} a step above the sand, {within} with everything in it"
-
 
 def coarser(elements: np.ndarray, resolution: int | None, most: int) -> str:
     """Return advice on how to get fewer elements, at most `most` of them."""
@@ -445,11 +407,11 @@ def coarser(elements: np.ndarray, resolution: int | None, most: int) -> str:
     return f"resolution={lower} would make some {most:,}, or {advice}"
 
 
-def cost(elements: np.ndarray, resolution: int | None, scheme: Scheme) -> Iterator[str]:
+def cost(elements: np.ndarray, resolution: int | None) -> Iterator[str]:
     """Check that the number of elements does not make steps slow."""
     if len(elements) > MANY:
         advice = coarser(elements, resolution, FACETS)
-        yield f"{len(elements):,} elements cost {Cost.of(len(elements), scheme)}: {advice}"
+        yield f"{len(elements):,} elements take milliseconds in each step: {advice}"
 
 
 def missed_steps(
@@ -461,18 +423,16 @@ def missed_steps(
     a simulation in which it should act from the first step on; None if the state may come from
     elsewhere.
     """
-    if last is None:
-        if began is not None and time > began + 0.5 * step:
-            yield (
-                f"time is {time:.6g} s, and this sand has never acted in this MjData: was "
-                "mujoco.mj_step called in place of sand.step? (add_sand has sand act inside "
-                "mj_step; a state that was copied from elsewhere is no cause)"
-            )
-    elif time > last + 1.5 * step:
-        yield (
-            f"time is {time:.6g} s, but this sand last acted in the step from {last:.6g} s: was "
-            "mujoco.mj_step called in place of sand.step? (add_sand has sand act inside mj_step)"
-        )
+    since = began if last is None else last + step
+    if since is None or not time > since + 0.5 * step:
+        return
+    acted = "has never acted in this MjData"
+    if last is not None:
+        acted = f"last acted in the step from {last:.6g} s"
+    yield (
+        f"time is {time:.6g} s, but this sand {acted}: was mujoco.mj_step called in place of "
+        "sand.step? (add_sand has sand act inside mj_step)"
+    )
 
 
 # What the cells of a memory cannot represent
@@ -556,7 +516,6 @@ def buried_geoms(
 
 
 CHECKS = (
-    (mocap_bodies_in_sand, UnfeltWarning),
     (touch_sensors, UnfeltWarning),
     (ignored_parts, UnfeltWarning),
     (floors, FloorWarning),

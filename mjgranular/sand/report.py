@@ -9,7 +9,6 @@ import mujoco
 import numpy as np
 
 from mjgranular._util.names import name_of
-from mjgranular._util.tables import html_table
 from mjgranular.errors import UnknownNameError
 from mjgranular.law.validity import Finding, Measure, Standing, found_at
 from mjgranular.sand.binding import Binding
@@ -178,7 +177,7 @@ class Report:
     solver: Solver | None = None
 
     def __repr__(self) -> str:
-        """Return each body's depth and force; `_repr_html_` is a table, `as_dict` has all."""
+        """Return each body's depth and force; `as_dict` has all."""
         bodies = [
             f"{body.body} {1e3 * body.depth:.4g} mm deep, {_size(body.force):.4g} N"
             for body in self.bodies[:_SHOWN]
@@ -186,23 +185,6 @@ class Report:
         if len(self.bodies) > _SHOWN:
             bodies.append(f"{len(self.bodies) - _SHOWN} more")
         return f"Report(t={self.time:.6g} s, {self.medium}, {self.law} law: {'; '.join(bodies)})"
-
-    def _repr_html_(self) -> str:
-        """Return a table with one row per body, for notebooks."""
-        title = f"{self.medium}, {self.law} law, t = {self.time:.6g} s"
-        headings = ("body", "depth [mm]", "force [N]", "power [W]", "law holds", "error found")
-        rows = [
-            (
-                body.body,
-                1e3 * body.depth,
-                _size(body.force),
-                body.power,
-                "yes" if body.valid else "no",
-                "not known" if body.error is None else f"{body.error:.0%}",
-            )
-            for body in self.bodies
-        ]
-        return html_table(title, headings, rows)
 
     def __getitem__(self, body: str | int) -> BodyReport:
         """Return the report of a body, by its name, or by its number if it has no name.

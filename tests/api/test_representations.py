@@ -35,10 +35,7 @@ def test_short_lines(sand):
     assert len(repr(report)) < 100
 
 
-def test_tables(sand):
-    table = sand.report(mujoco.MjData(sand.model))._repr_html_()
-    assert "<td>a&lt;b&gt;</td>" in table
-    assert "<th>depth [mm]</th>" in table
+def test_media_are_plain():
     odd = Medium("<i>", "\x1b[2J", Quantity(1500.0, "kg/m^3", "<script>"), "x", {"x": {}})
     assert "\x1b" not in repr(odd)
 
