@@ -89,7 +89,13 @@ class Link:
         spec.site("T").pos[2] = -self.length / 2
 
         scale = self.reach / PAPER_LENGTH
-        scale_scenery(spec, scale)
+        for name in ("bed", "table"):
+            geom = spec.geom(name)
+            geom.pos, geom.size = geom.pos * scale, geom.size * scale
+        sand = spec.material("sand")
+        sand.texrepeat = sand.texrepeat / scale
+        for camera in spec.cameras:
+            camera.pos = camera.pos * scale
         bed, gap = spec.geom("bed"), radius * 1.1  # the bed begins just behind the link
         back = bed.pos[1] + bed.size[1]
         bed.size[1], bed.pos[1] = (back - gap) / 2, (back + gap) / 2
@@ -145,18 +151,6 @@ def offset(point: tuple[float, float], q: float) -> tuple[float, float]:
     return point[0] * c - point[1] * s, point[0] * s + point[1] * c
 
 
-def scale_scenery(spec: mujoco.MjSpec, scale: float) -> None:
-    """Scale the bed, the table, the grains and the places of cameras of link.xml."""
-    for name in ("bed", "table"):
-        geom = spec.geom(name)
-        geom.pos = geom.pos * scale
-        geom.size = geom.size * scale
-    sand = spec.material("sand")
-    sand.texrepeat = sand.texrepeat / scale
-    for camera in spec.cameras:
-        camera.pos = camera.pos * scale
-
-
 def add_servo(
     spec: mujoco.MjSpec, joint: str, stiffness: float, bend: float, torque: float
 ) -> None:
@@ -168,26 +162,14 @@ def add_servo(
 
 
 def robot_scene(
-    name: str,
-    timestep: float,
-    colors: dict[str, tuple[float, float, float]],
-    *,
-    length: float | None = None,
+    name: str, timestep: float, colors: dict[str, tuple[float, float, float]]
 ) -> mujoco.MjSpec:
-    """Return an editable model without bodies: lights, a floor at z = 0, materials of these colors.
-
-    It has the cameras of link.xml, scaled to a robot of that length [m], or none.
-    """
+    """Return an editable model without bodies: lights, a floor at z = 0, materials in colors."""
     spec = mujoco.MjSpec.from_file(str(model_path("link")))
     spec.modelname = name
     spec.comment = f"Made by mjgranular.models: {name}."
-    if length is None:
-        for camera in spec.cameras:
-            spec.delete(camera)
-    else:
-        scale_scenery(spec, length / PAPER_LENGTH)
     geoms = (spec.geom("bed"), spec.geom("table"))
-    for each in (*geoms, *spec.texts, spec.body("link"), spec.key("impact")):
+    for each in (*spec.cameras, *geoms, *spec.texts, spec.body("link"), spec.key("impact")):
         spec.delete(each)
     spec.option.timestep = timestep
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST

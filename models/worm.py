@@ -78,14 +78,10 @@ class Worm:
     def spec(self, timestep: float) -> mujoco.MjSpec:
         """Return an editable model, with a floor at z = 0, at a time step [s]."""
         colors = {"skin": (0.72, 0.36, 0.22), "head": DARK}
-        spec = robot_scene("worm", timestep, colors, length=self.length)
+        spec = robot_scene("worm", timestep, colors)
         if self.posture == "level":
             for light in spec.lights:  # it lies on the rendered sand
                 light.castshadow = False
-            for name, distance in (("side", 3.0), ("close", 1.5)):
-                camera, away = spec.camera(name), distance * self.length
-                camera.pos = [0.0, -0.6 * away, 0.8 * away - self.depth]
-                camera.alt.xyaxes = [1, 0, 0, 0, 0.8, 0.6]
         middle = self._add_root(spec)
         parent = middle
         for index in reversed(range(self.root)):
