@@ -9,7 +9,8 @@ from typing import Any, ClassVar
 import mujoco
 import numpy as np
 
-from mjgranular import InputError, Medium
+from mjgranular import Medium
+from mjgranular._util.checks import check_count
 from mjgranular.envs.dunes import Dunes
 from mjgranular.envs.task import Start, State, Task
 from mjgranular.models import Worm
@@ -32,8 +33,7 @@ class _Chain(Task):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not isinstance(self.links, int) or self.links < 2:
-            raise InputError(f"links must be a whole number from 2 up, not {self.links!r}")
+        check_count("links", self.links, least=2)
 
     @cached_property
     def worm(self) -> Worm:

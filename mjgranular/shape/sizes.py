@@ -1,12 +1,12 @@
 """Sizes of geoms, limits on sizes and numbers of elements, and the default resolution of geoms."""
 
-import operator
 from collections.abc import Sequence
 from typing import Any
 
 import mujoco
 import numpy as np
 
+from mjgranular._util import checks
 from mjgranular._util.names import name_of
 from mjgranular.errors import InputError
 
@@ -89,17 +89,10 @@ def check_extents(what: str, half: Sequence[float] | np.ndarray) -> None:
 
 def check_resolution(resolution: Any, least: int, most: int) -> int:
     """Return a resolution as an integer; check that it is one from `least` to `most`."""
-    try:
-        if isinstance(resolution, bool):
-            raise TypeError
-        number = operator.index(resolution)
-    except TypeError:
-        raise InputError(f"the resolution must be a whole number, not {resolution!r}") from None
-    if number < least:
-        raise InputError(f"the resolution must be at least {least}, not {number}")
-    if number > most:
-        raise InputError(f"the resolution must be at most {most}, not {number}")
-    return number
+    checks.check_count("the resolution", resolution, least)
+    if resolution > most:
+        raise InputError(f"the resolution must be at most {most}, not {resolution}")
+    return int(resolution)
 
 
 def check_count(count: int) -> None:

@@ -110,10 +110,10 @@ def test_elements_are_numbers_or_refused(law, kinds, numbers, place, resolution)
         ("link_distributed", 10**9, "at most 10000, not 1000000000"),
         ("link_distributed", 10**30, "at most 10000"),
         ("link_distributed", 0, "at least 1"),
-        ("link_distributed", 2.5, "a whole number, not 2.5"),
+        ("link_distributed", 2.5, "an integer, not 2.5"),
         ("rft3d", 10**9, "at most 200"),
         ("rft3d", 1, "at least 2"),
-        ("rft3d", "12", "a whole number, not '12'"),
+        ("rft3d", "12", "an integer, not '12'"),
     ],
 )
 def test_a_resolution_beyond_reason_is_told(law, resolution, text):

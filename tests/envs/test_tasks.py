@@ -336,7 +336,7 @@ def test_wrong_input_is_told():
         InputError, match=r"ChainSwim has no option 'link'; it has: medium, .*links"
     ):
         gym.make(id_of("ChainSwim"), link=3)
-    with pytest.raises(InputError, match="links must be a whole number from 2 up"):
+    with pytest.raises(InputError, match="links must be at least 2, not 1"):
         SandEnv("ChainCrawl", links=1)
     with pytest.raises(InputError, match="frame_skip must be at least 1, not 0"):
         SandEnv("Hexapod", frame_skip=0)
