@@ -43,6 +43,7 @@ GAP = 0.97
 """Relative size of solids, less than one so that neighbors can be distinguished."""
 
 _SAND = "#D9BC85"
+_FADED = 0.25  # opacity of geoms around elements
 _NONE = np.zeros((2, 0, 3))  # ends of no arrows
 _STYLE = {
     "font.size": 9, "grid.color": "#DDDDDD", "grid.linewidth": 0.6, "legend.frameon": False,
@@ -166,7 +167,7 @@ def _draw(figure: Any, shown: Shown, surface: Any, *, normals: bool, forces: boo
         )
     )
     points = np.concatenate([polygons.reshape(-1, 3), tips])
-    tails, tips = shown.forces(None) if forces else _NONE
+    tails, tips = shown.forces() if forces else _NONE
     if len(tails):
         arrows = tips - tails
         style = {"color": RED, "linewidth": 1.1, "arrow_length_ratio": 0.2, "zorder": 3}
@@ -237,14 +238,15 @@ def add_elements(
     color: Color = "body",
     normals: bool = True,
     forces: bool = False,
-    force_scale: float | None = None,
-    fade: float = 0.25,
 ) -> int:
     """Add the elements to a scene, as decoration: to the scene of a renderer or of a viewer.
 
     Call it after `renderer.update_scene(data)`, or for a passive viewer with `viewer.user_scn`,
     whose `ngeom` is set to 0 first. Positions are those in `data`, as for the scene itself. Facets
     are thin slabs (discs if they have no edges), rods are cylinders, blobs are solids.
+
+    The geoms that they are made from, and a bed or height field of sand, become transparent if the
+    scene has them. A viewer's `user_scn` does not: there, press T to see through them.
 
     Args:
         scene: the scene to add to.
@@ -253,11 +255,6 @@ def add_elements(
         color: meaning of the colors: "body" or "geom".
         normals: whether normals of facets are drawn.
         forces: whether the sand's force on each element is drawn, as an arrow.
-        force_scale: length of an arrow of one newton [m]; None to make the largest of the instant
-            0.3 of the size of all elements.
-        fade: opacity of the geoms that the elements are made from, and of a bed or height field of
-            sand, if the scene has them. A viewer's `user_scn` does not: there, press T to see
-            through them.
 
     Returns:
         The number of geoms added.
@@ -269,7 +266,7 @@ def add_elements(
     """
     shown = Shown.at(sand, data, color)
     tails, tips = shown.normals() if normals else _NONE
-    starts, ends = shown.forces(force_scale) if forces else _NONE
+    starts, ends = shown.forces() if forces else _NONE
     needed, free = len(shown.elements) + len(tails) + len(starts), scene.maxgeom - scene.ngeom
     if needed > free:
         raise InputError(
@@ -280,7 +277,7 @@ def add_elements(
     mine = {*np.unique(shown.elements["geom"]).tolist(), *sand.surface.geoms(sand.model)}
     for geom in scene.geoms[: scene.ngeom]:
         if geom.objtype == mujoco.mjtObj.mjOBJ_GEOM and geom.objid in mine:
-            geom.rgba[3] = min(fade, float(geom.rgba[3]))
+            geom.rgba[3] = min(_FADED, float(geom.rgba[3]))
     before = scene.ngeom
     _add_bodies(scene, shown)
     thickness = 0.03 * shown.sizes

@@ -89,16 +89,15 @@ class Shown:
         ends = self.elements["point"] + length[:, None] * self.elements["normal"]
         return self.middles, self.place(ends[:, None])[:, 0]
 
-    def forces(self, scale: float | None) -> tuple[np.ndarray, np.ndarray]:
+    def forces(self) -> tuple[np.ndarray, np.ndarray]:
         """Return both ends of arrows of the forces [m], each of shape (m, 3), m at most n.
 
         Forces push facets from outside: their arrows end where the force acts. Others start there.
-        The length of a newton [m] is by default such that the largest force takes 0.3 of the reach.
+        The largest force takes 0.3 of the reach.
         """
         table = self.report.table
         size = np.linalg.norm(table.force, axis=1)
-        if scale is None:
-            scale = 0.3 * self.reach / max(float(size.max()), 1e-300)
+        scale = 0.3 * self.reach / max(float(size.max()), 1e-300)
         seen = scale * size > 2e-3 * self.reach
         point, arrow = table.point[seen], scale * table.force[seen]
         return (point - arrow, point) if self.kind == "facets" else (point, point + arrow)

@@ -248,11 +248,8 @@ def test_a_scene_gets_elements_normals_and_forces(facets):
     pushed = (force > 0.01 * force.max()).sum()
     assert 0 < pushed < (force > 0).sum()
     scene.ngeom = 0
-    drawn = add_elements(scene, facets, data, forces=True, force_scale=1.0)
+    drawn = add_elements(scene, facets, data, forces=True)
     assert 2 * number + pushed <= drawn <= 2 * number + (force > 1e-6 * force.max()).sum()
-    longest = max(float(scene.geoms[k].size[2]) for k in range(2 * number, scene.ngeom))
-    greatest = np.linalg.norm(facets.report(data).table.force, axis=1).max()
-    assert longest == pytest.approx(greatest, rel=0.05)  # without the head of the arrow
 
 
 def test_a_scene_gets_rods_and_blobs(rods, blobs):
