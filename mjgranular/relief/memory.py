@@ -18,9 +18,6 @@ REPOSE = math.radians(32)
 MOST_CELLS = 2000  # maximum along a side; chosen: 100 MB for each simulation
 EXTENT = 2.0  # default side of the stored square [m]; chosen
 
-_BULKING = (0.5, 2.0)
-"""Chosen: the densest and the loosest packing of spheres differ by a factor of 1.4."""
-
 _MULTIPLE = 20  # of cells along a side, so that blocks of several sizes fill it
 WINDOW = 5  # maximum number of blocks along a side that a mean reads
 
@@ -38,7 +35,6 @@ class Memory:
             that of a square of four times this. None for the width of the widest geom and four
             cells.
         repose: angle of repose [rad]; steeper slopes flow down.
-        bulking: volume of moved sand relative to its volume before.
 
     Raises:
         InputError: an invalid value, or too many cells.
@@ -49,10 +45,9 @@ class Memory:
     extent: float | None = None
     surroundings: float | None = None
     repose: float = REPOSE
-    bulking: float = 1.0
 
     def __post_init__(self) -> None:
-        for name in ("cell", "extent", "surroundings", "repose", "bulking"):
+        for name in ("cell", "extent", "surroundings", "repose"):
             value, high = getattr(self, name), math.pi / 2 if name == "repose" else math.inf
             if name in ("extent", "surroundings") and value is None:
                 continue
@@ -67,13 +62,6 @@ class Memory:
                 raise InputError(
                     f"the memory's {name} must be a number above 0{end}, not {shown(value)}{slip}"
                 )
-        low, high = _BULKING
-        if not low <= self.bulking <= high:
-            raise InputError(
-                "the memory's bulking, the volume that moved sand takes in parts of what it took "
-                f"before, must be from {low:g} to {high:g}, not {self.bulking:g}: a fifth more is "
-                "1.2"
-            )
         if not self.side / self.cell <= MOST_CELLS:
             count = self.side / self.cell
             raise InputError(

@@ -495,7 +495,7 @@ def update_kernel(probe: Any, is_flat: bool, dtype: np.dtype) -> Any:
                         points = row_of(relief.points, n, TILE)
                         volume += press(state, relief, turn, shift, points)
                 state[grid.PRESSED] += volume
-                heap(state, relief, first, relief.bulking * volume)
+                heap(state, relief, first, volume)
             begin = foot.end
         grid.end_covering(state, size, before)
         look_through(state, size)

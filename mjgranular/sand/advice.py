@@ -25,7 +25,6 @@ from mjgranular.errors import (
 )
 from mjgranular.law import DepthVelocityLaw, DistributedLinkLaw, Law, LinkLaw
 from mjgranular.law.rft import RftLaw
-from mjgranular.relief.footprint import spread_of
 from mjgranular.relief.memory import REPOSE, Memory
 from mjgranular.relief.relief import frame_of
 from mjgranular.sand.material import DEFAULT_MEDIUM, law_named_in
@@ -476,20 +475,6 @@ def cells(
             )
 
 
-def spread(
-    model: mujoco.MjModel, geoms: Sequence[int], surface: Surface, memory: Memory
-) -> Iterator[str]:
-    """Check that bodies are not farther apart than the extent of the memory."""
-    reach, side = spread_of(model, geoms), memory.size * memory.cell
-    if reach > side * (1 + 1e-9):
-        needed = math.ceil(10 * reach) / 10
-        yield (
-            f"what meets the sand reaches over {reach:.3g} m, with the model as it stands, and a "
-            f"square of {side:.3g} m is remembered, wrapped around: one writes over the prints of "
-            f"another; say memory='cell={memory.cell:g} extent={needed:g}', or with larger cells"
-        )
-
-
 def buried_geoms(
     model: mujoco.MjModel, geoms: Sequence[int], surface: Surface, memory: Memory
 ) -> Iterator[str]:
@@ -531,7 +516,6 @@ CHECKS = (
 
 CHECKS_OF_MEMORY = (
     (cells, GranularWarning),
-    (spread, GranularWarning),
     (buried_geoms, GranularWarning),
 )
 """Checks of a model, the geoms that meet the sand, its surface, and a memory that fits them."""

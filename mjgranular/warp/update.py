@@ -274,7 +274,7 @@ def settle(
         if lowered > LEAST * relief.slack:
             grid.height[world, row, column] -= lowered
             volume = cell * cell * lowered
-            wp.atomic_add(waiting, world, f, relief.bulking * volume)
+            wp.atomic_add(waiting, world, f, volume)
             wp.atomic_add(volumes, world, PRESSED, volume)
 
 

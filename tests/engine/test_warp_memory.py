@@ -85,13 +85,11 @@ class Worlds:
     def heights(self, world=0, middle=(0.0, 0.0)):
         return self.sand.relief(self.d, world, middle).height
 
-    def check_books(self, bulking=1.0):
+    def check_books(self):
         """What is nowhere in the heights is waiting or forgotten; nothing else is lost."""
         found = self.sand.volumes()
         assert (found["pressed"] > 1e-5).all()
-        np.testing.assert_allclose(
-            found["heaped"] + found["waiting"], bulking * found["pressed"], rtol=1e-4
-        )
+        np.testing.assert_allclose(found["heaped"] + found["waiting"], found["pressed"], rtol=1e-4)
         return found
 
 
@@ -157,14 +155,6 @@ def test_walls_of_a_crater_rest_at_the_angle_of_repose(warp):
         for b in (across[:-1], across[1:]):
             assert 0.7 * repose < np.hypot(a, b).max() / CELL < 1.03 * repose
     assert abs(CELL**2 * heights.sum()) < 1e-3 * worlds.check_books()["pressed"][0]
-
-
-def test_bulking_takes_more_room(warp):
-    worlds = Worlds(warp, count=1, memory=Memory(cell=CELL, bulking=1.2))
-    worlds.step(100)
-    found = worlds.check_books(bulking=1.2)
-    gained = CELL**2 * worlds.heights().sum() + found["waiting"][0]
-    assert gained == pytest.approx(0.2 * found["pressed"][0], rel=1e-2)
 
 
 def test_the_grid_is_wrapped_around_and_what_lay_there_is_forgotten(warp):
