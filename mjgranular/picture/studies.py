@@ -10,8 +10,6 @@ import numpy as np
 from mjgranular.picture.figures import PALETTE, figure, panels
 
 _BLUE = PALETTE[0]
-_MOST_MARKERS = 60  # of a line; with more, the line suffices. Chosen
-_MOST_TICKS = 8  # of a grid, one per value; chosen
 
 
 @dataclass(frozen=True)
@@ -94,8 +92,7 @@ def _draw_line(
     values = _numbers(columns[y.column]) * y.scale
     if joined and names is None:
         order = np.argsort(at, kind="stable")
-        marker = "o" if len(at) <= _MOST_MARKERS else ""
-        axes.plot(at[order], values[order], color=_BLUE, marker=marker, markersize=3.5)
+        axes.plot(at[order], values[order], color=_BLUE, marker="o", markersize=3.5)
     else:
         axes.scatter(at, values, s=12 if joined or len(at) < 1000 else 3, color=_BLUE)
     if names is not None:
@@ -119,9 +116,6 @@ def _draw_over(
         cells[np.searchsorted(rows, y), np.searchsorted(across, x)] = values
         drawn = axes.pcolormesh(across, rows, cells, shading="nearest", cmap="viridis")
         axes.grid(visible=False)
-        for at, put in ((across, axes.set_xticks), (rows, axes.set_yticks)):
-            if len(at) <= _MOST_TICKS:
-                put(at)
     else:
         size = 18 if len(x) < 1000 else 4
         drawn = axes.scatter(x, y, c=values, s=size, cmap="viridis")

@@ -29,7 +29,6 @@ from mjgranular.sand.prepare import fitted
 from mjgranular.surface import Surface
 
 _PURPOSE = "Writing a video"
-_LONGEST = 3600.0  # film [s]
 _SHORT = 0.5  # run that ends before this has a clock in milliseconds [s]
 _STILL = 5e-4  # in parts of the view: a motion too small to see
 _ARROWS = 1.0  # longest arrow, in parts of the view; MuJoCo 4.0 draws half of it
@@ -141,10 +140,6 @@ def frames_of_model(
     """Return the pictures of a run of any model, in real time or slower to fill the film."""
     check_camera(model, film.camera)
     begin, end = float(motion.t[0]), float(motion.t[-1])
-    if end - begin > _LONGEST:
-        raise InputError(
-            f"a film of the run's {end - begin:g} s would be longer than {_LONGEST:g} s"
-        )
     view = View.of(model, mujoco.MjData(model), motion.qpos)
     times = _times(film, begin, end, max(film.seconds, end - begin))
     covered = None if prints is None or memory is None else (prints, memory)
