@@ -272,12 +272,7 @@ class Task(SandSpec, ABC):
         return self.new_state({name: getattr(data, name)[None] for name in self.bound})
 
     def ranges(self, options: Mapping[str, Any] | None) -> SandRanges | None:
-        """Return the ranges for one episode from the options of a reset: `randomise` by default.
-
-        Raises:
-            UnknownNameError: an option that is not a field of `SandRanges`; lists them.
-            InputError: a value outside its range, or sand that the model was not made for.
-        """
+        """Return the ranges for one episode from the options of a reset: `randomise` by default."""
         return ranges_of_reset(self.randomise, options_of_reset(options))
 
     def sample(

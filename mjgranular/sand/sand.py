@@ -1,7 +1,6 @@
 """`Sand`: a bed of sand bound to a model, the main class of the package."""
 
 import copy
-import math
 import weakref
 from collections.abc import Callable
 from functools import partial
@@ -475,7 +474,7 @@ class Sand:
                 advice = "heights in hfield_data must be finite"
             return UnstableError(
                 f"the sand's force on body {body_name(model, binding.bodies[failed]['body'])} is "
-                f"not finite at {self._moment(data.time)}: the state has left reason; {advice}"
+                f"not finite at t = {data.time:.6g} s: the state has left reason; {advice}"
             )
         what, body = self._blame(data)
         found = f"MuJoCo found NaN, infinite or huge numbers in {what} of body "
@@ -492,14 +491,9 @@ class Sand:
         if not own:
             data.xfrc_applied[:] = applied
         return UnstableError(
-            f"{found} at {self._moment(time)}: the state has left reason, and the data hold the "
+            f"{found} at t = {time:.6g} s: the state has left reason, and the data hold the "
             f"last good one, from before that step; {advice}"
         )
-
-    def _moment(self, time: float) -> str:
-        """Return when in words; the first step is step 1."""
-        step = time / self._options.timestep if self._options.timestep else math.nan
-        return f"t = {time:.6g} s" + (f", step {round(step) + 1}" if math.isfinite(step) else "")
 
     def _blame(self, data: mujoco.MjData) -> tuple[str, int]:
         """Find what MuJoCo found bad, and in which body; clear its warnings."""

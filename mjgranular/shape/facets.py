@@ -81,14 +81,6 @@ def facets_from_model(
 
     Returns:
         Facets, ordered by body, shape (n,), dtype `FACET_DTYPE`.
-
-    Raises:
-        InputError: a geom of another type, of size zero or beyond numerical limits, or a mesh
-            without faces; a resolution below 2 or above 200; too many facets.
-
-    Warns:
-        GranularWarning: a mesh is not watertight, with the number of its open edges; or it is
-            inside out, and is then flipped.
     """
     ordered = sorted(set(geoms), key=lambda g: (int(model.geom_bodyid[g]), g))
     if resolution is None:

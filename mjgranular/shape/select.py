@@ -33,13 +33,7 @@ def select_geoms(
     `geoms`, or no selection at all, means every collision geom of a body that can move.
 
     Each is given as one or several names or ids, and `leave_out` as ids of geoms that are the sand
-    itself.
-
-    Raises:
-        UnknownNameError: a name that the model does not have, or a group without a geom of a body
-            that can move; lists the existing ones.
-        InputError: the result is empty, a named body or geom cannot move, a group is not an
-            integer, or names of the model are not UTF-8.
+    itself. Errors list the names and groups that exist.
     """
     _check_names(model)
     moving = [g for g in range(model.ngeom) if moves(model, int(model.geom_bodyid[g]))]

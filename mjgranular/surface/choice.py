@@ -6,7 +6,7 @@ from typing import Any
 from mjgranular._util.checks import kind_of
 from mjgranular._util.parse import read_part
 from mjgranular._util.registry import Registry
-from mjgranular.errors import InputError, shown
+from mjgranular.errors import InputError
 from mjgranular.surface.surface import Bed, HeightField, Plane, Surface
 
 surfaces: Registry[type[Surface]] = Registry("surface")
@@ -26,10 +26,6 @@ def surface_of(surface: Any) -> Surface:
     if isinstance(surface, str) and surface.partition(" ")[0] in surfaces:
         return surface_from_words(surface)
     meant = "Plane(height=...), Bed('geom') or HeightField('geom')"
-    if isinstance(surface, (int, float)):
-        meant = f"Plane(height={surface:g}) for a level surface at that height"
-    elif isinstance(surface, str):
-        meant = f"Bed({shown(surface)}) or HeightField({shown(surface)}) for a geom of that name"
     raise InputError(f"a surface is needed, not {kind_of(surface)}; use {meant}")
 
 

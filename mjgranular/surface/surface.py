@@ -50,12 +50,7 @@ class Surface(ABC):
 
     @abstractmethod
     def record(self, model: mujoco.MjModel) -> np.ndarray:
-        """Return the surface in a model as its `probe` reads it: structured, shape (1,).
-
-        Raises:
-            UnknownNameError: the model has no geom of that name; lists those it has.
-            InputError: the geom cannot be that kind of surface.
-        """
+        """Return the surface in a model as its `probe` reads it: structured, shape (1,)."""
 
     def geoms(self, model: mujoco.MjModel) -> tuple[int, ...]:
         """Return ids of the geoms that are the sand and so do not meet it."""

@@ -403,7 +403,7 @@ def test_data_hold_the_last_good_state(everything, field, autoreset):
         sand.step(data)
     spoiled = getattr(data, field)
     spoiled[-1] = np.nan
-    with pytest.raises(UnstableError, match=rf"{field} of body 'tip' at t = 0\.1269 s, step 1270:"):
+    with pytest.raises(UnstableError, match=rf"{field} of body 'tip' at t = 0\.1269 s:"):
         sand.step(data)
     assert np.array_equal(state(everything, data), good)
     assert data.xpos == pytest.approx(_positions(everything, good), abs=1e-12)
@@ -453,7 +453,7 @@ def test_the_body_is_named_by_position(chain_model, index, body):
     sand, data = Sand(chain_model, scheme="explicit"), mujoco.MjData(chain_model)
     sand.step(data)
     data.qpos[index] = np.inf
-    with pytest.raises(UnstableError, match=f"qpos of body '{body}' at t = 0 s, step 1:"):
+    with pytest.raises(UnstableError, match=f"qpos of body '{body}' at t = 0 s:"):
         sand.step(data)
 
 
@@ -523,8 +523,7 @@ def test_a_run_that_blows_up_of_itself(everything, autoreset):
             sand.step(data)
         except UnstableError as error:
             failed = str(error)
-    step = round(data.time / 1e-4) + 1
-    assert f"at t = {data.time:.6g} s, step {step}: " in failed
+    assert f"at t = {data.time:.6g} s: " in failed
     assert "time step below 0.0001 s" in failed
     assert time - 1.5e-4 < data.time <= time
     assert np.isfinite(state(everything, data)).all()

@@ -217,11 +217,11 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "surface's name": (
         lambda: sand(surface="floor"),
-        "a surface is needed, not 'floor'; use Bed('floor') or",
+        "a surface is needed, not 'floor'; use Plane(height=...),",
     ),
     "number for surface": (
         lambda: sand(surface=0.1),
-        "a surface is needed, not 0.1; use Plane(height=0.1) for a",
+        "a surface is needed, not 0.1; use Plane(height=...),",
     ),
     "list for surface": (
         lambda: sand(surface=[0, 0, 0.1]),
@@ -639,10 +639,6 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     "batch of nobody's": (
         lambda: vec("mjgranular/LinkDorp-v0", 2),
         "no environment 'mjgranular/LinkDorp-v0' ... did you mean mjgranular/LinkDrop-v0?",
-    ),
-    "bulking in percent": (
-        lambda: mg.Memory(bulking=20),
-        "must be from 0.5 to 2, not 20: a fifth more is 1.2",
     ),
     "repose in degrees": (lambda: mg.Memory(repose=32), "32 degrees are 0.5585"),
     "memory that is too small": (
