@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from mjgranular._util.checks import check_count
-from mjgranular._util.window import has_display
+from mjgranular._util.window import opens_window
 from mjgranular.envs.dunes import DUNES
 from mjgranular.envs.task import Task
 from mjgranular.errors import InputError, RenderError, UnknownNameError, drawing
@@ -81,7 +81,7 @@ class Cameras:
 
     def _show(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         if self._viewer is None:
-            if not has_display():  # GLFW would end the process
+            if not opens_window(monitor=True):  # GLFW would end the process
                 raise RenderError(
                     "render_mode='human' needs a screen and there is none here: "
                     "use render_mode='rgb_array'"

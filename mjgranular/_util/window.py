@@ -5,12 +5,22 @@ import warnings
 from typing import Any
 
 
-def has_display() -> bool:
-    """Return True if there is a display; without one MuJoCo's viewers wait, or end the process."""
+def opens_window(*, monitor: bool = False) -> bool:
+    """Return True if a window opens; without one MuJoCo's viewers wait, or end the process.
+
+    With `monitor` the display must have one, whose size Gymnasium's viewer asks for.
+    """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
             glfw: Any = importlib.import_module("glfw")
         except ImportError:
             return False
-        return bool(glfw.init()) and glfw.get_primary_monitor() is not None
+        if not glfw.init() or (monitor and glfw.get_primary_monitor() is None):
+            return False
+        glfw.window_hint(glfw.VISIBLE, glfw.FALSE)
+        window = glfw.create_window(64, 64, "mjgranular", None, None)
+        if window:
+            glfw.destroy_window(window)
+        glfw.terminate()
+        return bool(window)

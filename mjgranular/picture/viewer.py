@@ -12,7 +12,7 @@ from typing import Any
 
 import mujoco
 
-from mjgranular._util.window import has_display
+from mjgranular._util.window import opens_window
 from mjgranular.errors import RenderError
 
 FRAME = 1 / 60
@@ -40,7 +40,7 @@ class Switch:
 def check_display() -> None:
     """Check that a window can be opened: without one MuJoCo's viewer waits forever."""
     # On macOS windows belong to mjpython's thread, and MuJoCo says so itself.
-    if sys.platform != "darwin" and not has_display():
+    if sys.platform != "darwin" and not opens_window():
         raise RenderError(
             f"no window can be opened here, DISPLAY is {os.environ.get('DISPLAY')!r}; {_FILM}"
         )

@@ -189,8 +189,8 @@ train quad | no environment 'quad'; there are: mjgranular/Ant-v0,
 train quad.py | no environment 'quad.py'; there are: mjgranular/Ant-v0,
 train quad: | 'quad:' lacks the id behind the colon: quad:My-v0
 train :Quad-v0 | the module '' of the environment :Quad-v0 cannot be imported: name it as
-train quad:Quadd-v0 | no environment 'quad:Quadd-v0' ... did you mean quad:Quad-v0
-train quad:Nope-v0 | no environment 'quad:Nope-v0'; there are: quad:Quad-v0
+train quad:Quadd-v0 | no environment 'quad:Quadd-v0' ... did you mean Quad-v0
+train quad:Nope-v0 | no environment 'quad:Nope-v0' ... importing quad has registered no Nope-v0
 train qaud:Quad-v0 | no module 'qaud'; there are: error, quad ... did you mean quad?
 train error:Quad-v0 | the module 'error' of the environment error:Quad-v0 cannot be imported
 train CartPole-v1 --algorithm dqn | no algorithm 'dqn'; there are: ppo, sac,
