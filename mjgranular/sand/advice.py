@@ -144,46 +144,38 @@ SHARE = 0.15
 under a humanoid's foot have 0.04; the smallest true foot, a ball at the end of a shin, has 0.2."""
 
 
-@dataclass(frozen=True)
-class Points:
-    """A body that meets the sand with points only: these, and the largest geom that is drawn."""
+def find_points(model: mujoco.MjModel, geoms: Sequence[int]) -> dict[int, list[int]]:
+    """Find the bodies that meet the sand only with geoms small compared to what is drawn.
 
-    body: int
-    geoms: tuple[int, ...]
-    drawn: int
-
-
-def find_points(model: mujoco.MjModel, geoms: Sequence[int]) -> list[Points]:
-    """Find the bodies that meet the sand only with geoms small compared to what is drawn."""
+    Return the largest geom that is drawn of each, with those that meet the sand.
+    """
     members: dict[int, list[int]] = {}
     for geom in geoms:
         members.setdefault(int(model.geom_bodyid[geom]), []).append(geom)
-    found = []
+    found = {}
     for body, mine in members.items():
         first, count = int(model.body_geomadr[body]), int(model.body_geomnum[body])
         drawn = [g for g in range(first, first + count) if g not in mine and not collides(model, g)]
-        if not drawn:
-            continue
-        largest = max(drawn, key=lambda g: model.geom_rbound[g])
+        largest = max(drawn, key=lambda g: model.geom_rbound[g], default=mine[0])
         if max(model.geom_rbound[mine]) < SHARE * model.geom_rbound[largest]:
-            found.append(Points(body, tuple(mine), largest))
+            found[largest] = mine
     return found
 
 
 def points(case: Case) -> Iterator[str]:
     """Check that no body has point feet, which sink; geoms named one by one are intended."""
     model, spec = case.model, case.spec
-    found = find_points(model, case.geoms) if spec.geoms is None else []
+    found = find_points(model, case.geoms) if spec.geoms is None else {}
     if not found:
         return
-    size = 2e3 * max(model.geom_rbound[list(one.geoms)].max() for one in found)
+    size = 2e3 * max(model.geom_rbound[mine].max() for mine in found.values())
     every = ["all"] if spec.bodies is None and spec.groups is None else []
-    drawn = [name_of(model, "geom", one.drawn) or one.drawn for one in found]
+    drawn = [*every, *(name_of(model, "geom", geom) or geom for geom in found)]
     yield (
-        f"{listed(body_name(model, one.body) for one in found)} "
+        f"{listed(body_name(model, int(model.geom_bodyid[geom])) for geom in found)} "
         f"{'meets' if len(found) == 1 else 'meet'} the sand with points only, at most {size:.3g} "
         "mm wide: made for contacts with a floor, they will sink; to have what is drawn in the "
-        f"sand too, take geoms={[*every, *drawn]} (--geoms {' '.join(map(str, [*every, *drawn]))})"
+        f"sand too, take geoms={drawn} (--geoms {' '.join(map(str, drawn))})"
     )
 
 
