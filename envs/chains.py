@@ -37,7 +37,6 @@ class _Chain(Task):
 
     @cached_property
     def worm(self) -> Worm:
-        """The body."""
         return Worm(self.links, **self.build)
 
     def robot(self) -> mujoco.MjSpec:

@@ -72,7 +72,6 @@ class Hexapod(Task):
     frame_skip: int = 8
 
     body: ClassVar[models.Hexapod] = models.Hexapod()
-    """The robot."""
 
     def robot(self) -> mujoco.MjSpec:
         return self.body.spec(0.005)

@@ -97,7 +97,6 @@ class Task(SandSpec, ABC):
     """
 
     title: ClassVar[str]
-    """One-line title."""
     episode: ClassVar[int] = 1000
     """Steps after which `gymnasium.make` truncates an episode."""
     reads: ClassVar[tuple[str, ...]] = ()
