@@ -196,9 +196,6 @@ largest geom."""
 _WIDEST = 10.0
 """Width of a geom that meets the sand [m]: an excavator's. A geom drawn in millimeters has more."""
 
-_LIGHTEST = 5.0
-"""Mean density of all that meets the sand [kg/m^3]: foam has 15 and more. In g/cm^3 water has 1."""
-
 _STEEPEST = math.radians(75)
 """Angle between gravity and the way into a plane of sand. Sand slides from 35 degrees on; with
 gravity along y it is 90."""
@@ -237,7 +234,7 @@ def timestep(case: Case) -> Iterator[str]:
 
 
 def sizes(case: Case) -> Iterator[str]:
-    """Check that geoms are not drawn in millimeters, and have no densities in g/cm^3."""
+    """Check that geoms are not drawn in millimeters."""
     model, geoms = case.model, case.geoms
     if not (model.geom_size[list(geoms)] < LARGEST).all():
         return  # an error where the elements are made
@@ -248,28 +245,6 @@ def sizes(case: Case) -> Iterator[str]:
             f"geom {geom_name(model, largest)} is {across:.3g} m across: lengths are in meters, "
             f"and {across:.3g} mm is {across / 1000:.3g} m"
         )
-    volumes = [_volume(model, geom) for geom in geoms]
-    mass = float(model.body_mass[case.bodies].sum())
-    if all(volumes) and 0.0 < mass < _LIGHTEST * sum(volumes):
-        mean = mass / sum(volumes)
-        yield (
-            f"all that meets the sand weighs {mass:.3g} kg, on the mean {mean:.3g} kg/m^3, less "
-            f"than any solid: {mean:.3g} g/cm^3 is {1000 * mean:.4g} kg/m^3"
-        )
-
-
-def _volume(model: mujoco.MjModel, geom: int) -> float:
-    """Return the volume of a geom [m^3]; 0 where it is unknown, as for meshes."""
-    x, y, z = model.geom_size[geom].tolist()
-    kinds, ball = mujoco.mjtGeom, 4 / 3 * math.pi
-    volumes = {
-        kinds.mjGEOM_SPHERE: ball * x**3,
-        kinds.mjGEOM_CAPSULE: ball * x**3 + 2 * math.pi * x**2 * y,
-        kinds.mjGEOM_CYLINDER: 2 * math.pi * x**2 * y,
-        kinds.mjGEOM_ELLIPSOID: ball * x * y * z,
-        kinds.mjGEOM_BOX: 8 * x * y * z,
-    }
-    return volumes.get(kinds(int(model.geom_type[geom])), 0.0)
 
 
 def gravity(case: Case) -> Iterator[str]:
@@ -428,43 +403,19 @@ def missed_steps(
 
 # What the cells of a memory cannot represent
 
-_SEVERAL = 4
-"""Cells across a feature that is to be resolved."""
-
 
 def cells(
     model: mujoco.MjModel, geoms: Sequence[int], surface: Surface, memory: Memory
 ) -> Iterator[str]:
-    """Check that geoms, beds and height fields are not finer than cells."""
-    cell, least = memory.cell, memory.cell * (1 - 1e-9)
-    text = f"the memory's cells of {1e3 * cell:g} mm"
-    widths = {geom: geom_width(model, geom) for geom in geoms}
-    narrow = min(geoms, key=lambda geom: widths[geom])
-    if widths[narrow] < least:
+    """Check that no geom is narrower than a cell."""
+    narrow = min(geoms, key=lambda geom: geom_width(model, geom))
+    width = geom_width(model, narrow)
+    if width < memory.cell * (1 - 1e-9):
         yield (
-            f"{text} are larger than geom {geom_name(model, narrow)}, which is "
-            f"{1e3 * widths[narrow]:.3g} mm wide: its print is a cell; take cells of "
-            f"{1e3 * widths[narrow] / _SEVERAL:.2g} mm"
+            f"the memory's cells of {1e3 * memory.cell:g} mm are larger than geom "
+            f"{geom_name(model, narrow)}, which is {1e3 * width:.3g} mm wide: its print is a cell; "
+            f"take cells of {1e3 * width / 4:.2g} mm"
         )
-    if isinstance(surface, HeightField):
-        field = surface.record(model)[0]
-        apart = 2 * min(
-            field["half_x"] / (field["columns"] - 1), field["half_y"] / (field["rows"] - 1)
-        )
-        if apart < least:
-            yield (
-                f"{text} are larger than those of the height field {surface.geom!r}, whose points "
-                f"are {1e3 * apart:.3g} mm apart: sand flows as if its heights between cells were "
-                f"not there; take cells of {1e3 * apart:.3g} mm"
-            )
-    if isinstance(surface, Bed):
-        bed = surface.record(model)[0]
-        side = 2 * min(bed["half_along"], bed["half_across"])
-        if side < _SEVERAL * least:
-            yield (
-                f"{text} are too large for the bed {surface.geom!r}, which is {1e3 * side:.3g} mm "
-                f"wide: no print fits in; take cells of {1e3 * side / (5 * _SEVERAL):.2g} mm"
-            )
 
 
 def buried_geoms(
