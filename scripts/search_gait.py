@@ -1,9 +1,9 @@
-"""Searches for the best scripted gait of an environment, on a grid over its parameters.
+"""Search for the best scripted gait of an environment, on a grid over its parameters.
 
-python scripts/search_gait.py mjgranular/ChainSwim-v0 --count 200 --by x_velocity
+python scripts/search_gait.py mjgranular/ChainSwim-v0 amplitude=0.2:1 frequency=0.5:6 waves=0.5:2
 
 Each gait runs for one episode from the same start. If the best value of a parameter is an end of
-its range, widen the range: --range waves=0.2:1.2.
+its range, widen the range.
 """
 
 from __future__ import annotations
@@ -20,38 +20,24 @@ from mjgranular.learn.agents import make_gait
 from mjgranular.learn.evaluate import AT_ONCE, parse_variant, run_episodes
 
 SEED = 20_000  # evaluations use others
-_WAVE = {"amplitude": (0.2, 1.0), "frequency": (0.5, 6.0), "waves": (0.5, 2.0)}
-BOUNDS = {
-    "ChainSwim": _WAVE,
-    "ChainCrawl": {**_WAVE, "waves": (-2.0, 2.0), "offset": (-0.4, 0.4)},
-    "Hexapod": {
-        "stride": (0.2, 1.0),
-        "lift": (0.1, 1.0),
-        "press": (0.0, 0.6),
-        "frequency": (0.5, 6.0),
-        "duty": (0.4, 0.7),
-    },
-    "LinkDrop": {"angle": (-1.0, 1.0), "spin": (-1.0, 1.0)},
-}
-"""Ranges of the parameters of gaits, (low, high), by the names of their tasks."""
 
 
 def main() -> None:
     """Print the five best gaits."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("env", help="Gymnasium id of an environment with a scripted gait")
+    parser.add_argument("ranges", nargs="+", metavar="NAME=LOW:HIGH")
     parser.add_argument("--on", default="", help="NAME=VALUE,...: arguments of the environment")
     parser.add_argument("--count", type=int, default=200, help="least number of gaits")
     parser.add_argument("--by", default="return", help="return, or a number in info")
-    parser.add_argument("--range", nargs="*", default=[], metavar="NAME=LOW:HIGH")
     options = parser.parse_args()
     try:
         arguments = parse_variant(options.on)
         env = environments.one(options.env, arguments)
         make_gait(options.env, env, {})  # raises without a scripted gait
-        bounds = {**BOUNDS[type(env.unwrapped.task).__name__]}
         env.close()
-        for name, _, ends in (text.partition("=") for text in options.range):
+        bounds = {}
+        for name, _, ends in (text.partition("=") for text in options.ranges):
             low, _, high = ends.partition(":")
             bounds[name] = float(low), float(high)
         levels = max(2, math.ceil(round(options.count ** (1 / len(bounds)), 9)))
