@@ -91,8 +91,9 @@ def test_the_tuning_script_without_optuna_gives_the_install_line(tmp_path, monke
 @pytest.mark.slow
 def test_the_gait_search_script(tmp_path):
     script = ROOT / "scripts" / "search_gait.py"
-    few = ["amplitude=0.2:1", "frequency=0.5:6", "waves=-1:1", "--count", "8", "--on", "max_episode_steps=10"]
-    printed = run(script, "mjgranular/ChainCrawl-v0", *few, "--by", "x_velocity", cwd=tmp_path)
+    ranges = ("amplitude=0.2:1", "frequency=0.5:6", "waves=-1:1")
+    few = ("--count", "8", "--on", "max_episode_steps=10", "--by", "x_velocity")
+    printed = run(script, "mjgranular/ChainCrawl-v0", *ranges, *few, cwd=tmp_path)
     speeds = [float(line.split()[1].rstrip(":")) for line in printed.splitlines()]
     assert len(speeds) == 5
     assert speeds == sorted(speeds, reverse=True)
