@@ -209,7 +209,7 @@ def _find(environment: Any) -> EnvSpec:
     base = creator_of(spec.entry_point)
     if not (isinstance(base, type) and issubclass(base, MujocoEnv)):
         raise InputError(
-            f"{spec.id} is no MuJoCo environment of Gymnasium's kind: on_sand takes classes that "
+            f"{spec.id} is not one of Gymnasium's MuJoCo environments: on_sand takes classes that "
             f"derive from MujocoEnv, such as {', '.join(_robots())}; for any other there is "
             "add_sand, for its MjSpec"
         )

@@ -30,7 +30,7 @@ SEED = 10_000  # the first of an evaluation
 
 
 def of_policy(name: str, seconds: float, **view: float) -> Iterator[np.ndarray]:
-    """Pictures of an episode of a policy on sand that remembers, at the speed of life."""
+    """Pictures of an episode of a policy on sand that remembers, in real time."""
     policy = load_policy(name)
     arguments = {**policy.run.settings.environment, "memory": 0.01}
     arguments.pop("randomise", None)  # sand that is drawn has no memory

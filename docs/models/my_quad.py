@@ -1,4 +1,4 @@
-"""An environment of one's own: the quad of quad.xml, on its floor and on sand."""
+"""A custom environment: the quad of quad.xml, on its floor and on sand."""
 
 from __future__ import annotations
 

@@ -270,7 +270,7 @@ class MeasuredRun:
         if self.kind == "drop" and above > self.motion.depth.max() / 2:  # chosen
             raise InputError(
                 f"{where}: it begins {above:.3g} m above the sand, and the speed is that of its "
-                "first row: leave out rows before the touch"
+                "first row: omit rows before the touch"
             )
 
     def _check_joints(self, spec: mujoco.MjSpec) -> None:

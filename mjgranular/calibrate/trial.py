@@ -136,6 +136,7 @@ class PushTrial(Trial):
         self.run = run
         self.axis, names = _SERIES[run.kind]
         where = f"run {shown(run.name)}"
+        assert run.body is not None
         measured = run.measured()
         inside = measured["depth"] > 0 if run.kind == "intrude" else measured["speed"] > 0
         deepest, size = run.depth or measured["depth"].max(), run.body.size

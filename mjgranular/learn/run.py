@@ -221,7 +221,7 @@ def curve_text(rows: Sequence[Sequence[float]]) -> str:
 def mean_returns(curve: Sequence[tuple[float, ...]], episodes: int) -> list[tuple[float, float]]:
     """Return steps and mean returns of a learning curve, each over at least so many episodes.
 
-    At a checkpoint all episodes begin anew, so that those that end soon after it have failed: a row
+    At a checkpoint all episodes start over, so that those that end soon after it have failed: a row
     of few episodes says little. What remains at the end is left out, unless it is all there is.
     """
     points, count, total = [], 0.0, 0.0

@@ -439,7 +439,7 @@ def buried_geoms(
         yield (
             f"geom {geom_name(model, deepest)} starts {1e3 * under:.3g} mm and more under the "
             "sand, with the model as it stands (qpos0): memory has one height for each place, and "
-            "opens a pit above what is buried; leave memory out for what swims"
+            "opens a pit above what is buried; omit memory for what swims"
         )
 
 

@@ -96,7 +96,7 @@ class Sand:
         self._beside = find_sand_of_the_model(model, sand.elements)
         if self._beside and not shared:
             raise InputError(
-                f"the model has sand of its own, {self._beside} inside mj_step: step it with "
+                f"the model has sand, {self._beside} inside mj_step: step it with "
                 "mj_step and without Sand, or say shared=True if both are to act"
             )
         self._program = sand.program
@@ -313,7 +313,7 @@ class Sand:
         self._check_owner(data)
         if self._beside and data not in self._bindings:
             raise InputError(
-                f"the model has sand of its own, {self._beside} inside mj_step, and this Sand, "
+                f"the model has sand, {self._beside} inside mj_step, and this Sand, "
                 "which has never acted in this MjData, has nothing to report: read the model's "
                 "sensors (mjgranular.sensor), or report with the model without its sand"
             )
@@ -474,7 +474,7 @@ class Sand:
                 advice = "heights in hfield_data must be finite"
             return UnstableError(
                 f"the sand's force on body {body_name(model, binding.bodies[failed]['body'])} is "
-                f"not finite at t = {data.time:.6g} s: the state has left reason; {advice}"
+                f"not finite at t = {data.time:.6g} s: the state has diverged; {advice}"
             )
         what, body = self._blame(data)
         found = f"MuJoCo found NaN, infinite or huge numbers in {what} of body "
@@ -491,7 +491,7 @@ class Sand:
         if not own:
             data.xfrc_applied[:] = applied
         return UnstableError(
-            f"{found} at t = {time:.6g} s: the state has left reason, and the data hold the "
+            f"{found} at t = {time:.6g} s: the state has diverged, and the data hold the "
             f"last good one, from before that step; {advice}"
         )
 

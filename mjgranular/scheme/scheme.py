@@ -104,7 +104,7 @@ class Scheme(SchemeChoice):
         *first, last = (_SPELLED.get(name, name.lower()) for name in self.integrators)
         return (
             "the sand cannot be stepped with the integrator that the model has now "
-            f"(opt.integrator; RK4 is such a one): set it to {', '.join(first)} or {last}"
+            f"(opt.integrator, such as RK4): set it to {', '.join(first)} or {last}"
         )
 
     @property
@@ -123,7 +123,7 @@ class Scheme(SchemeChoice):
         """
 
     def sampling(self, kernel: LawKernel, scene: np.dtype) -> Any:
-        """Make the kernel that finds the elements in the sand, if it is a program of its own.
+        """Make the kernel that finds the elements in the sand, if it is a separate program.
 
         Its address is in the table (`kernel.memory.SAMPLING`). It is called as `program` is, and
         returns nothing of use.

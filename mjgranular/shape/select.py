@@ -120,7 +120,7 @@ def _check_names(model: mujoco.MjModel) -> None:
         bytes(model.names).decode()
     except UnicodeDecodeError:
         raise InputError(
-            "a name in the model is not UTF-8, as those of an MJCF file must be: save it anew"
+            "a name in the model is not UTF-8, as those of an MJCF file must be: save it again"
         ) from None
 
 

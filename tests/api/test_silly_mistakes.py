@@ -45,7 +45,7 @@ NAMES = BLOCK.replace('body name="block"', 'body name="torso"').replace(
 
 
 def made(config: str) -> mujoco.MjModel:
-    """The block with sand of its own."""
+    """The block with sand."""
     instance = f"<instance name='s'>{config}</instance>"
     extension = f"<extension><plugin plugin='mjgranular.sand'>{instance}</plugin></extension>"
     return mujoco.MjModel.from_xml_string(BLOCK.replace("<worldbody>", f"{extension}<worldbody>"))
@@ -412,7 +412,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "environment without MuJoCo": (
         lambda: on_sand("CartPole-v1"),
-        "CartPole-v1 is no MuJoCo environment of Gymnasium's kind: on_sand takes classes",
+        "CartPole-v1 is not one of Gymnasium's MuJoCo environments: on_sand takes classes",
     ),
     "number for environment": (
         lambda: on_sand(5),
@@ -424,7 +424,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "class that is none": (
         lambda: on_sand(dict),
-        "dict is no MuJoCo environment of Gymnasium's kind: on_sand takes classes that",
+        "dict is not one of Gymnasium's MuJoCo environments: on_sand takes classes that",
     ),
     "medium of an environment": (
         lambda: on_sand("Hopper-v5", medium="moon"),
