@@ -39,6 +39,7 @@ class Question(NamedTuple):
         scale: factor of lengths.
         refine: divisor of the time step.
         nudge: initial difference of velocities.
+        halves: whether two sands of half the strength act in place of one.
         tolerance: tolerance in parts of the largest speed.
     """
 
@@ -49,6 +50,7 @@ class Question(NamedTuple):
     scale: float = 1.0
     refine: int = 1
     nudge: float = 0.0
+    halves: bool = False
     tolerance: float = EXACT
 
 
@@ -76,9 +78,16 @@ def motion(spec: mujoco.MjSpec, given: dict[str, Any], ask: Question, seed: int)
             data.qvel[at : at + 3] = mirrored / speed * 5.0 * (image @ data.qvel[at : at + 3])
         else:
             data.qvel[at] *= 5.0 / speed if kind == _HINGE else speed
-    sand = Sand(model, **{**given, **ask.sand})
+    given = {**given, **ask.sand}
+    sands = [Sand(model, **given)]
+    if ask.halves:
+        law = replace(sands[0].law, scale=0.5 * sands[0].law.scale)
+        sands = [Sand(model, **(given | {"law": law}), shared=True) for _ in range(2)]
     for _ in range(STEPS * ask.refine):
-        sand.step(data)
+        mujoco.mj_step1(model, data)
+        for sand in sands:
+            sand.apply(data)
+        mujoco.mj_step2(model, data)
     mujoco.mj_forward(model, data)
     found = np.zeros((len(names), 2, 3))
     for row, name in zip(found, names, strict=True):
@@ -190,6 +199,8 @@ def questions(given: dict[str, Any], rng: np.random.Generator) -> Iterator[Quest
     flat, grid = isinstance(plane, Plane), "memory" in given
     yield Question("order of geoms", reorder)
     yield Question("two bodies welded", weld)
+    if given["law"] in ("rft2d", "rft3d") and not grid:  # the others are not linear in their scale
+        yield Question("two sands", halves=True)
     shift = 0.4 * rng.integers(-3, 4, 3)  # an integer number of cells
     there = {}
     if flat:
