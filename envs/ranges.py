@@ -15,6 +15,7 @@ from mjgranular.envs.figures import Figures
 from mjgranular.errors import InputError, UnknownNameError
 from mjgranular.law import law_in
 from mjgranular.medium import Medium, get_medium, media
+from mjgranular.relief.memory import as_memory
 from mjgranular.sand.material import medium_for
 from mjgranular.sand.spec import SandSpec, combined
 
@@ -132,8 +133,11 @@ def _finite_range(name: str, given: Any) -> tuple[float, float]:
     return low, high
 
 
-def ranges_of(ranges: Any, curriculum: Any) -> SandRanges | None:
-    """Return the ranges of an environment, and check its curriculum."""
+def ranges_of(ranges: Any, curriculum: Any, memory: Any) -> SandRanges | None:
+    """Return the ranges of an environment, and check its curriculum.
+
+    Empty ranges are None for sand with memory, which is never drawn.
+    """
     if isinstance(ranges, Mapping):
         ranges = SandRanges.of(ranges)
     if ranges is not None and not isinstance(ranges, SandRanges):
@@ -150,6 +154,10 @@ def ranges_of(ranges: Any, curriculum: Any) -> SandRanges | None:
             "a curriculum needs randomise=SandRanges(...), which names all media, laws and "
             "surfaces that it may draw"
         )
+    if ranges is not None and as_memory(memory) is not None:
+        if ranges != SandRanges():
+            raise InputError("sand with memory cannot be drawn at random: use randomise={}")
+        return None
     return ranges
 
 

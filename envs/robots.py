@@ -127,7 +127,7 @@ class OnSand(MujocoEnv):
         self._made_of = sand, options
         base = dict(sand)
         self._curriculum = base.pop("curriculum", None)
-        self._ranges = ranges_of(base.pop("randomise", None), self._curriculum)
+        self._ranges = ranges_of(base.pop("randomise", None), self._curriculum, base.get("memory"))
         if self._ranges is not None and "dunes" in self._ranges.surfaces:
             raise InputError(
                 "on_sand draws no dunes, because Gymnasium's robots start at their own height: "

@@ -123,7 +123,9 @@ class Task(SandSpec, ABC):
         for option in fields(self):
             if option.name not in SAND_FIELDS:
                 check_option(option.name, getattr(self, option.name), option.default)
-        object.__setattr__(self, "randomise", ranges_of(self.randomise, self.curriculum))
+        object.__setattr__(
+            self, "randomise", ranges_of(self.randomise, self.curriculum, self.memory)
+        )
         if self.observe_sand and self.randomise is None:
             raise InputError("observe_sand needs randomise=SandRanges(...): else it is constant")
 

@@ -13,7 +13,13 @@ import numpy as np
 from mjgranular._util.checks import kind_of
 from mjgranular._util.extras import require
 from mjgranular._util.files import atomic_write
-from mjgranular.errors import GranularWarning, InputError, OutputError, UnknownNameError
+from mjgranular.errors import (
+    GranularError,
+    GranularWarning,
+    InputError,
+    OutputError,
+    UnknownNameError,
+)
 from mjgranular.experiment.drop import Drop, DropResult, load
 from mjgranular.experiment.impact import ImpactResult
 from mjgranular.experiment.trajectory import Trajectory
@@ -261,15 +267,21 @@ def write_video(
     mediapy = need_mediapy(_PURPOSE)
     first = next(pictures)  # fails on a machine that cannot render, before a file is opened
     shape = (film.height, film.width)
-    with (
-        atomic_write(path) as part,
-        mediapy.VideoWriter(part, shape=shape, fps=film.fps, crf=20) as writer,
-    ):
-        writer.add_image(first)
-        for done, picture in enumerate(pictures, start=2):
-            writer.add_image(picture)
-            if progress is not None:
-                progress(done, count)
+    try:
+        with (
+            atomic_write(path) as part,
+            mediapy.VideoWriter(part, shape=shape, fps=film.fps, crf=20) as writer,
+        ):
+            writer.add_image(first)
+            for done, picture in enumerate(pictures, start=2):
+                writer.add_image(picture)
+                if progress is not None:
+                    progress(done, count)
+    except RuntimeError as error:
+        if isinstance(error, GranularError):
+            raise
+        reason = str(error).strip().rpartition("] ")[2]  # the last that ffmpeg wrote
+        raise OutputError(f"the film cannot be written: {reason}") from error
 
 
 def play(film: Any, *, fps: int, seconds: float, camera: str | None) -> None:

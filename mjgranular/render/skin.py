@@ -102,9 +102,10 @@ def _faces(lines: int) -> np.ndarray:
 def _texture(lines: int, cell: float, thickness: float) -> np.ndarray:
     """Return texture coordinates [m], shape (n, 2).
 
-    They rise and fall around the grid, which therefore has no seam; grains look the same mirrored.
+    They rise and fall around the grid, which therefore has no seam. Grains are mirrored about lines
+    a quarter of the grid away from its middle, where robots start.
     """
-    around = np.arange(lines)
+    around = (np.arange(lines) + lines // 4) % lines
     there = cell * np.minimum(around, lines - around)
     top = np.stack(np.meshgrid(there, there, indexing="ij"), axis=-1).reshape(-1, 2)
     along = cell * np.repeat(np.arange(lines + 2), 2)

@@ -15,6 +15,7 @@ from mjgranular.cli import main
 from mjgranular.engine import relief_of
 from mjgranular.envs import SandEnv, SandVectorEnv, on_sand
 from mjgranular.envs.ids import id_of
+from mjgranular.errors import InputError
 from mjgranular.learn.evaluate import parse_variant
 
 pytest.importorskip("mujoco.batch", reason="a MuJoCo without batches")
@@ -130,3 +131,14 @@ def test_a_memory_is_as_large_as_the_robot_needs(robot: str) -> None:
     model = env.unwrapped.model
     reach = {"Ant-v5": 2.9, "HalfCheetah-v5": 2.0, "Hopper-v5": 2.0}[robot]
     assert model.npluginstate == Memory(0.02, extent=reach).state_size
+
+
+def test_sand_with_memory_is_not_drawn_and_empty_ranges_say_so() -> None:
+    env = SandEnv("Hexapod", memory=MEMORY, randomise={})  # as `render --on` of a shipped policy
+    env.reset(seed=0)
+    env.close()
+    for name in ("Hexapod", "Ant-v5"):
+        with pytest.raises(InputError, match=r"use randomise=\{\}"):
+            (SandEnv if name == "Hexapod" else on_sand)(
+                name, memory=MEMORY, randomise={"strength": (0.5, 2)}
+            )

@@ -9,7 +9,7 @@ from mjgranular import errors
 from mjgranular.cli import main
 from mjgranular.experiment import Impact, run_impact
 from mjgranular.models import Link
-from mjgranular.picture.video import Film, frames_of_run
+from mjgranular.picture.video import Film, frames_of_run, write_video
 
 
 @pytest.fixture(scope="module")
@@ -175,3 +175,19 @@ def test_the_figure_of_many_bodies_shows_those_with_the_largest_forces(tmp_path,
     legend = [text.get_text() for text in drawn[0].axes[0].get_legend().get_texts()]
     assert legend == [f"body {k}" for k in range(count) if size[k] >= count - 8]
     assert "8 bodies with the largest forces, of 20" in drawn[0].get_suptitle()
+
+
+def test_a_full_disk_is_one_sentence(tmp_path, monkeypatch):
+    mediapy = pytest.importorskip("mediapy")
+
+    close = mediapy.VideoWriter.close
+
+    def full(writer):
+        close(writer)
+        raise RuntimeError("Error writing 'x.mp4': [mp4 @ 0x1] Error closing: No space left\n")
+
+    monkeypatch.setattr(mediapy.VideoWriter, "close", full)
+    film, black = Film(width=32, height=32), np.zeros((32, 32, 3), np.uint8)
+    with pytest.raises(errors.OutputError, match=r"written: Error closing: No space left$"):
+        write_video(tmp_path / "film.mp4", film, 2, iter([black, black]))
+    assert not list(tmp_path.glob("film.mp4"))

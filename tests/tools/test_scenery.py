@@ -12,6 +12,7 @@ from mjgranular.engine.looks import DrawnSand, look_of_plane
 from mjgranular.experiment.drop import Drop, load, run_drop
 from mjgranular.picture.scene import add_arrow
 from mjgranular.picture.video import Film, Motion, frames_of_model
+from mjgranular.render import skin
 from mjgranular.render.material import MATERIAL, radius_of
 from mjgranular.render.scenery import add_daylight, add_scenery
 
@@ -217,3 +218,9 @@ def test_an_arrow_is_a_decoration_whatever_was_in_memory():
     add_arrow(scene, np.zeros(3), np.ones(3), 0.1)
     assert scene.ngeom == 1
     assert scene.geoms[0].category == mujoco.mjtCatBit.mjCAT_DECOR
+
+
+def test_grains_around_the_start_are_no_mirror_images():
+    texture = skin._texture(220, 0.01, 0.0)[: 220 * 220].reshape(220, 220, 2)
+    assert not np.allclose(texture[1:40, 0], texture[-1:-40:-1, 0])
+    np.testing.assert_allclose(np.abs(np.diff(texture, axis=0, append=texture[:1])).max(), 0.01)
