@@ -32,8 +32,6 @@ from mjgranular.warp.damping import (
 from mjgranular.warp.fit import (
     check_model,
     check_no_plugins,
-    check_room,
-    check_room_to_remember,
     slots_of,
     slots_of_dofs,
     up_of,
@@ -59,9 +57,6 @@ CORRECTIONS = 3
 # Hoppers up to 15 cm deep diverged within 30 steps; with twice as much some of 300 deeper ones did.
 # Rest of a body is softer where its sand would exceed this damping.
 _MOST_DAMPING = 2e4
-
-_OF_A_BODY = Damping.numpy_dtype()["itemsize"] + 4 * (6 + 3 + 3 + 5)
-"""Bytes of a body in a world: damping, constant force, force, moment, and five numbers."""
 
 
 class WarpSand:
@@ -132,7 +127,7 @@ class WarpSand:
         check_no_plugins(model)
         chosen = choose_sand(model, spec)
         self.law, self.medium, self.surface = chosen.law, chosen.medium, chosen.surface
-        self._model, self._elements, self._resolution = model, chosen.elements, spec.resolution
+        self._model, self._elements = model, chosen.elements
         memory, self._footprint = as_memory(spec.memory), None
         if memory is not None:
             fits = fitting(model, chosen.geoms, memory)
@@ -157,8 +152,8 @@ class WarpSand:
             d: `mujoco_warp.Data`, of any number of worlds.
 
         Raises:
-            InputError: the sand is already attached, the model is another, its integrator or a flag
-                would omit the sand, or the device has too little memory.
+            InputError: the sand is already attached, the model is another, or its integrator or a
+                flag would omit the sand.
         """
         if self._attached_to is not None:
             raise InputError(
@@ -168,11 +163,6 @@ class WarpSand:
         model, device = self._model, d.qvel.device
         self._cold = int(m.opt.disableflags) & int(mujoco.mjtDisableBit.mjDSBL_WARMSTART)
         n, count = d.nworld, len(self._slots)
-        copied = (d.qfrc_passive, d.efm_fluid, d.efc.D, d.efc.aref)
-        of_a_world = count * _OF_A_BODY + 16 * model.nv + sum(a.capacity for a in copied) // n
-        check_room(device, n, of_a_world, self._elements, self._resolution)
-        if isinstance(self.surface, Relief):
-            check_room_to_remember(device, n, self.surface.memory)
         self._attached_to, self._device, self._size = m, device, (n, count)
 
         law_struct = struct_of_dtype(type(self.law).__name__, self._scene["law"].dtype)
