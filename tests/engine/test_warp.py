@@ -96,7 +96,6 @@ def put(model, qpos, qvel, sand):
         ("rft3d", "quikrete_medium", "plane", ("box", "thigh", "foot")),
         ("rft3d inertia=1.1 rise=true", "quikrete_medium", "bed", ("box", "foot")),
         ("rft2d", "glass_beads", "dunes", ("box", "rod", "foot")),
-        ("rft2d_measured", "glass_beads_close", "plane", ("box", "rod", "foot")),
         ("rft3d_dynamic added=0 grain=1e-3", "quikrete_medium", "plane", ("box", "foot")),
         ("link", "play_sand", "plane", ("rod", "thigh")),
         ("link_distributed", "play_sand", "dunes", ("rod", "thigh")),
