@@ -174,15 +174,17 @@ class WarpSand:
         )
         self._elements_there = to_device(self._elements, self._kernel.element, device)
         self._tables = self._tables_on(device)
+
+        def zeros(count: int, kind: Any = float) -> wp.array:
+            return wp.zeros((n, count), dtype=kind, device=device)
+
         self._state = state = State()
         for name in ("predicted", "found", "gap", "creep"):
-            setattr(state, name, wp.zeros((n, model.nv), dtype=float, device=device))
+            setattr(state, name, zeros(model.nv))
         for name in ("share", "limit", "depth", "speed", "power"):
-            setattr(state, name, wp.zeros((n, count), dtype=float, device=device))
-        for name in ("force", "moment"):
-            setattr(state, name, wp.zeros((n, count), dtype=wp.vec3, device=device))
-        state.damping = wp.zeros((n, count), dtype=Damping, device=device)
-        state.start_force = wp.zeros((n, count), dtype=wp.spatial_vector, device=device)
+            setattr(state, name, zeros(count))
+        state.force, state.moment = zeros(count, wp.vec3), zeros(count, wp.vec3)
+        state.damping, state.start_force = zeros(count, Damping), zeros(count, wp.spatial_vector)
         state.passive, state.fluid = wp.zeros_like(d.qfrc_passive), wp.zeros_like(d.efm_fluid)
         self.depth, self.speed, self.power = state.depth, state.speed, state.power
         self.force, self.moment = state.force, state.moment
