@@ -35,7 +35,6 @@ from mjgranular.law import DynamicRft2dLaw as DynamicRft2dLaw
 from mjgranular.law import DynamicRft3dLaw as DynamicRft3dLaw
 from mjgranular.law import Law as Law
 from mjgranular.law import LinkLaw as LinkLaw
-from mjgranular.law import MeasuredRft2dLaw as MeasuredRft2dLaw
 from mjgranular.law import Rft2dLaw as Rft2dLaw
 from mjgranular.law import Rft3dLaw as Rft3dLaw
 from mjgranular.law import laws as laws

@@ -82,7 +82,7 @@ to add a set.
 
 {beds}
 - Not compared: swimmers, wheels with grousers, feet that push off, sand on slopes, sand with
-  memory, wet sand, and `rft2d_measured`.
+  memory, and wet sand.
 - Published drops are lines fitted to measurements, not the measurements.
 - Simulated grains are round, and most do not resist rolling: their friction is at the lower end of
   sands.

@@ -21,7 +21,7 @@ from mjgranular.kernel.memory import NBODY, field, ints, row_of, table_at
 from mjgranular.kernel.options import has_passive_forces
 from mjgranular.kernel.records import bodies_of
 
-ASLEEP = int(mujoco.mjtSleepState.mjS_ASLEEP) if hasattr(mujoco, "mjtSleepState") else 0
+ASLEEP = int(mujoco.mjtSleepState.mjS_ASLEEP)
 """Value of `body_awake` for bodies that MuJoCo skips."""
 
 _plugins = field("mjModel", "plugin")

@@ -52,10 +52,7 @@ def sands_in(model: mujoco.MjModel) -> tuple[str, ...]:
     """Return the names of a model's instances of sand, which act inside `mj_step`."""
     if model.nplugin == 0:
         return ()
-    try:
-        slot = plugin_slot(NAME)  # -1 if it could not be registered
-    except ImportError:  # MuJoCo's library was not found
-        return ()
+    slot = plugin_slot(NAME)  # -1 if it could not be registered
     ours = np.flatnonzero((model.plugin == slot) & (slot >= 0))
     return tuple(instance_name(model._address, int(instance)) for instance in ours)
 

@@ -30,7 +30,6 @@ from mjgranular.engine.trampolines import (
 from mjgranular.engine.tuning import STATE_SIZE
 from mjgranular.errors import GranularError
 from mjgranular.kernel.compiled import program_address
-from mjgranular.kernel.compiler import CompilerError
 from mjgranular.kernel.engine import library
 from mjgranular.kernel.structs import LayoutError, check_layout
 from mjgranular.kernel.threads import ENGINE, is_main, is_preparing, prepare_in_worker
@@ -87,7 +86,7 @@ class Engine:
 
     def __init__(self) -> None:
         self._active: set[str] = set()
-        self._failure: GranularError | None = None
+        self._failure: Exception | None = None
         self._loader: Any = None
         self._message = threading.local()
 
@@ -167,8 +166,7 @@ class Engine:
                     raise
                 except Exception as error:
                     _logger.debug("the plugin cannot be used", exc_info=True)
-                    known = isinstance(error, GranularError)
-                    self._failure = error if known else CompilerError(error)
+                    self._failure = error
             if self._failure is not None:
                 raise self._failure
             self._active.add(plugin.name)

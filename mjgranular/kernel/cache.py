@@ -4,11 +4,10 @@ numba serves a cached function as long as the file that defines it is unchanged,
 functions that it calls have changed; it accepts any file in its directory; and it cannot
 distinguish functions that one factory made from different parts. So a program's directory is named
 by everything that went into it (`digest`). It is written elsewhere and then renamed, so that it
-exists completely or not at all.
+exists completely or not at all; checksums find one that was damaged later.
 
-Cached machine code runs when it is loaded. So each user has a private directory, and a program is
-loaded only if each of its files is as it was written, by this user or the administrator. Files and
-directories that others can write to are neither read nor written.
+Cached machine code runs when it is loaded. So each user has a private directory. It is neither read
+nor written if others can write to it; only that of the administrator is read too.
 """
 
 import errno
@@ -41,13 +40,7 @@ _settings: Any = config
 _SUMS = "sums"
 _OLD = 30 * 24 * 3600.0  # s after which programs of other builds are removed; chosen
 _ROOT = 0
-_OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
 _PATIENCE = 300.0  # s for which to wait for another process that compiles a program; chosen
-_MOST = 1 << 28  # maximum bytes of a file; that of a program has some hundred thousand
-# Neither follow a link nor block on a pipe.
-_READ = os.O_RDONLY | sum(
-    getattr(os, name, 0) for name in ("O_NOFOLLOW", "O_NONBLOCK", "O_CLOEXEC", "O_BINARY")
-)
 
 _reported: set[Path] = set()
 
@@ -65,24 +58,19 @@ def load(build: str, name: str, make: Callable[[], T]) -> T | None:
 def save(build: str, name: str, make: Callable[[], T]) -> T | None:
     """Have numba compile and cache a program by `make`, and return it; None if it cannot cache."""
     for root in _folders_to_write():
-        try:
+        with suppress(OSError):  # of a full disk too: compiled, but not written
             _remove_old(root, build)
-            (root / build).mkdir(exist_ok=True)
-            _restrict(root / build)
-            staging = Path(tempfile.mkdtemp(prefix=f"{name}.", dir=root / build))
-        except OSError:
-            continue
-        try:
-            try:
+            folder = _folder_of(root, build)
+            with tempfile.TemporaryDirectory(
+                prefix=f"{name}.", dir=folder, ignore_cleanup_errors=True
+            ) as temporary:
+                staging = Path(temporary, name)
+                staging.mkdir()
                 with _caching(staging):
                     made = make()
-            except OSError:  # a full disk: compiled, but not written
-                continue
-            with suppress(OSError):
-                _publish(staging, root / build / name)
-            return made
-        finally:
-            shutil.rmtree(staging, ignore_errors=True)
+                with suppress(OSError):
+                    _publish(staging, folder / name)
+                return made
     return None
 
 
@@ -96,28 +84,22 @@ def has(build: str, name: str) -> bool:
     return any(_is_complete(root / build / name) for root in _folders_to_read())
 
 
+def can_wait() -> bool:
+    """Return True if processes can wait for each other's programs (`alone`)."""
+    return fcntl is not None and can_save()
+
+
 @contextmanager
 def alone(build: str, name: str) -> Iterator[None]:
     """Let one process at a time compile a program; others wait, to find it cached afterwards.
 
     Without locks of files, on Windows and some file systems, they do not wait.
     """
-    root = next(_folders_to_write(), None)
-    if root is None:
-        yield
-        return
     with ExitStack() as opened:
-        with suppress(OSError):
-            (root / build).mkdir(exist_ok=True)
-            _restrict(root / build)
-            file = opened.enter_context((root / build / f"{name}.lock").open("w"))
-            _wait_for(file)
+        with suppress(OSError, StopIteration):
+            folder = _folder_of(next(_folders_to_write()), build)
+            _wait_for(opened.enter_context((folder / f"{name}.lock").open("w")))
         yield
-
-
-def can_wait() -> bool:
-    """Return True if processes can wait for each other's programs (`alone`)."""
-    return fcntl is not None and can_save()
 
 
 def _wait_for(file: IO[str]) -> None:
@@ -125,10 +107,8 @@ def _wait_for(file: IO[str]) -> None:
 
     Not by `flock`, which a forked process would hold too.
     """
-    if fcntl is None:
-        return
     until = time.monotonic() + _PATIENCE
-    while time.monotonic() < until:
+    while fcntl is not None and time.monotonic() < until:
         try:
             fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             return
@@ -151,11 +131,9 @@ def _caching(folder: Path) -> Iterator[None]:
 
 
 def _publish(staging: Path, folder: Path) -> None:
-    for path in staging.rglob("*"):
+    (staging / _SUMS).write_text(_sums(staging), encoding="utf-8")
+    for path in (staging, *staging.rglob("*")):
         _restrict(path)
-    (staging / _SUMS).write_bytes(_sums(staging))
-    _restrict(staging / _SUMS)
-    _restrict(staging)
     try:
         staging.rename(folder)
     except OSError:
@@ -168,23 +146,18 @@ def _publish(staging: Path, folder: Path) -> None:
 
 def _is_complete(folder: Path) -> bool:
     """Return True if each file of a program is as it was written."""
-    with suppress(OSError):
-        sums = _read(folder / _SUMS)
-        return bool(sums) and sums == _sums(folder)
+    with suppress(OSError, UnicodeDecodeError):
+        return (folder / _SUMS).read_text(encoding="utf-8") == _sums(folder)
     return False
 
 
-def _sums(folder: Path) -> bytes:
-    """List all files of a program with their checksums; an untrusted file has none."""
-    lines = []
-    for base, _, names in os.walk(folder):
-        for name in names:
-            path = Path(base, name)
-            if path != folder / _SUMS:
-                content = _read(path)
-                checksum = "-" if content is None else hashlib.sha256(content).hexdigest()
-                lines.append(f"{checksum}  {path.relative_to(folder).as_posix()}\n")
-    return "".join(sorted(lines)).encode()
+def _sums(folder: Path) -> str:
+    """List all files of a program with their checksums."""
+    files = [path for path in folder.rglob("*") if path.is_file() and path != folder / _SUMS]
+    return "".join(
+        f"{hashlib.sha256(path.read_bytes()).hexdigest()}  {path.relative_to(folder).as_posix()}\n"
+        for path in sorted(files)
+    )
 
 
 def _remove_old(root: Path, build: str) -> None:
@@ -210,23 +183,30 @@ def _folders_to_read() -> Iterator[Path]:
     users = [None] if _user() is None else dict.fromkeys((_user(), _ROOT))
     for folder in (base / _name(user) for base in _folders() for user in users):
         with suppress(OSError):
-            if _is_trusted(folder, folder.lstat()):
+            if _is_trusted(folder):
                 yield folder
 
 
 def _folders_to_write() -> Iterator[Path]:
     """Find or make directories that this user can write to."""
     for base in _folders():
-        folder = base / _name(_user())
         with suppress(OSError):
             base.mkdir(parents=True, exist_ok=True)
+            folder = base / _name(_user())
             if not folder.exists():
-                folder.mkdir(mode=0o700, exist_ok=True)
-                _restrict(folder)
-            if _is_trusted(folder, folder.lstat()):
+                _folder_of(base, folder.name)
+            if _is_trusted(folder):
                 with tempfile.TemporaryFile(dir=folder):
                     pass
                 yield folder
+
+
+def _folder_of(parent: Path, name: str) -> Path:
+    """Return a directory, made for this user if it does not exist."""
+    folder = parent / name
+    folder.mkdir(mode=0o700, exist_ok=True)
+    _restrict(folder)
+    return folder
 
 
 def _name(user: int | None) -> str:
@@ -238,42 +218,29 @@ def _user() -> int | None:
     return os.geteuid() if hasattr(os, "geteuid") else None
 
 
-def _read(path: Path) -> bytes | None:
-    """Return the content of a file; None if the file is not trusted."""
-    file = os.open(path, _READ)
-    with os.fdopen(file, "rb") as opened:
-        found = os.fstat(file)
-        if stat.S_ISREG(found.st_mode) and found.st_size <= _MOST and _is_trusted(path, found):
-            return opened.read(_MOST)
-    return None
-
-
 def _restrict(path: Path) -> None:
-    """Remove other users' write access to a file or directory; root's stay readable."""
-    for_all = _user() == _ROOT
-    if path.is_dir():
-        path.chmod(0o755 if for_all else 0o700)
-    else:
-        path.chmod(0o644 if for_all else 0o600)
+    """Remove other users' access to a file or directory; they may read root's."""
+    mode = 0o755 if path.is_dir() else 0o644
+    path.chmod(mode if _user() == _ROOT else mode & 0o700)
 
 
-def _is_trusted(path: Path, found: os.stat_result) -> bool:
-    """Return True if only this user or the administrator can have written it; warn if not."""
-    user = _user()
+def _is_trusted(folder: Path) -> bool:
+    """Return True if only this user or the administrator can write to a directory; else warn."""
+    user, found = _user(), folder.lstat()
     if user is None:
         return True
     if found.st_uid not in (user, _ROOT):
         why = f"belongs to another user (number {found.st_uid})"
     elif stat.S_ISLNK(found.st_mode):
         why = "is a link"
-    elif found.st_mode & _OTHERS_WRITE:
+    elif found.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
         why = "can be written by other users"
     else:
-        return stat.S_ISDIR(found.st_mode) or stat.S_ISREG(found.st_mode)
-    if path not in _reported:
-        _reported.add(path)
+        return stat.S_ISDIR(found.st_mode)
+    if folder not in _reported:
+        _reported.add(folder)
         warn_user(
-            f"{path} {why}: machine code is neither read from it nor written to it; remove it, or "
-            "set NUMBA_CACHE_DIR to a folder that only you can write to"
+            f"{folder} {why}: machine code is neither read from it nor written to it; remove it, "
+            "or set NUMBA_CACHE_DIR to a folder that only you can write to"
         )
     return False

@@ -8,16 +8,13 @@ from contextlib import suppress
 from types import FunctionType
 from typing import Any
 
+from numba import cfunc, njit, types
+from numba.core import config, event
+from numba.extending import typeof_impl
+
 from mjgranular.errors import InputError
-from mjgranular.kernel.compiler import compiling
-
-with compiling():
-    from numba import cfunc, njit, types
-    from numba.core import config, event
-    from numba.extending import typeof_impl
-
 from mjgranular.kernel import cache
-from mjgranular.kernel.compiler import ALWAYS, ONCE, report_compiling
+from mjgranular.kernel.compiler import ALWAYS, ONCE, compiling, report_compiling
 from mjgranular.kernel.digest import build, digest, names_in_closure, stable_name
 from mjgranular.kernel.threads import PROGRAMS, cancellation_point, uninterrupted
 

@@ -1,31 +1,12 @@
-"""Supported versions of numba, errors that are short, and reports of compilation."""
+"""Errors of compilation that are short, and reports of compilation."""
 
 import logging
 import re
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from importlib.metadata import PackageNotFoundError, version
 
 from mjgranular.errors import GranularError
-
-TESTED = ("0.62", "0.68")
-"""The first and the last version of numba that the tests were run with."""
-
-
-class CompilerError(GranularError, RuntimeError):
-    """Kernels cannot be compiled with the numba that is installed, or without one."""
-
-    def __init__(self, error: BaseException) -> None:
-        installed = _installed()
-        what = "numba is not installed"
-        if installed is not None:
-            what = f"numba {installed} cannot compile the kernels of mjgranular"
-        reason = (str(error).strip().splitlines() or ["no message"])[0]
-        super().__init__(
-            f"{what} ({type(error).__name__}: {reason}); tested versions of numba: "
-            f"{TESTED[0]} to {TESTED[1]}"
-        )
 
 
 class KernelError(GranularError, TypeError):
@@ -60,21 +41,7 @@ def compiling(what: str = "") -> Iterator[None]:
     except (GranularError, MemoryError):
         raise
     except Exception as error:
-        first, installed, last = map(_numbers, (TESTED[0], _installed() or "0", TESTED[1]))
-        if isinstance(error, ImportError) or not first <= installed <= last:
-            raise CompilerError(error) from error
         raise KernelError(error, what) from error
-
-
-def _installed() -> str | None:
-    try:
-        return version("numba")
-    except PackageNotFoundError:
-        return None
-
-
-def _numbers(text: str) -> tuple[int, ...]:
-    return tuple(int(number) for number in text.split(".")[:2] if number.isdigit())
 
 
 ONCE = "once on a machine, up to a minute"

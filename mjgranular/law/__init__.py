@@ -13,7 +13,6 @@ from mjgranular.law.law import register_law as register_law
 from mjgranular.law.link import DistributedLinkLaw as DistributedLinkLaw
 from mjgranular.law.link import LinkLaw as LinkLaw
 from mjgranular.law.rft2d import Rft2dLaw as Rft2dLaw
-from mjgranular.law.rft2d_measured import MeasuredRft2dLaw as MeasuredRft2dLaw
 from mjgranular.law.rft3d import Rft3dLaw as Rft3dLaw
 from mjgranular.law.validity import Finding as Finding
 from mjgranular.law.validity import Limit as Limit

@@ -78,7 +78,7 @@ class DepthVelocityLaw(Law):
     $$
 
     with z the depth of the geom's deepest point below the surface. The force acts while z > 0.
-    Every model that the link paper surveys is a special case; each has a named constructor.
+    Every model that the link paper surveys is a special case.
 
     Attributes:
         constant: C [N].
@@ -114,31 +114,6 @@ class DepthVelocityLaw(Law):
 
     def __post_init__(self) -> None:
         self.check_not_negative("constant", "stiffness", "exponent", "linear", "quadratic")
-
-    @classmethod
-    def bingham(cls, *, constant: float, linear: float) -> Self:
-        """Return F = F0 + b v: a viscoplastic medium at low speed (de Bruyn and Walsh)."""
-        return cls(constant=constant, linear=linear)
-
-    @classmethod
-    def poncelet(cls, *, constant: float, quadratic: float) -> Self:
-        """Return F = F0 + c v^2: ballistics."""
-        return cls(constant=constant, quadratic=quadratic)
-
-    @classmethod
-    def allen_mayfield_morrison(cls, *, quadratic: float, linear: float, constant: float) -> Self:
-        """Return F = A v^2 + B v + C: penetration of sand."""
-        return cls(quadratic=quadratic, linear=linear, constant=constant)
-
-    @classmethod
-    def lohse(cls, *, stiffness: float) -> Self:
-        """Return F = k z: loose, very fine sand."""
-        return cls(stiffness=stiffness)
-
-    @classmethod
-    def tsimring_volfson(cls, *, stiffness: float, quadratic: float) -> Self:
-        """Return F = k z + c v^2: the generalized Poncelet model, for large projectiles."""
-        return cls(stiffness=stiffness, quadratic=quadratic)
 
     @classmethod
     def katsuragi_durian(cls, *, mass: float, stiffness: float, drag_length: float) -> Self:

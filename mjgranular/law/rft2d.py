@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import partial
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -81,13 +81,9 @@ def level_response(law, rise, down):
     return flat, 0.0, flat_d, law.A00 + law.A10 * square - turn * rise, -turn, up_d
 
 
-@cache
-def split_slope(planar: Any, level: Any) -> Any:
-    """Make the kernel `slope` of `RftLaw` from a response in two dimensions.
-
-    Args:
-        planar: kernel of the response, as `planar_response`.
-        level: kernel of that of level elements, as `level_response`.
+@partial(compiled, inline=True)
+def rft2d_slope(law, g, rise, down, lead):
+    """Return the resistance for unit area and depth, by the cosines: see `RftLaw.slope`.
 
     The plane is that of the element's normal n and the vertical z, as in Treers et al. 2021, with e
     along the horizontal part of n; a level element takes the plane of its motion instead. The
@@ -99,55 +95,47 @@ def split_slope(planar: Any, level: Any) -> Any:
     then e = (n - down z) / sin b is inserted. The suffix of a name is the variable of the
     derivative: e for v_e, r for v.z, d for n.z, l for n.v, g for the attack, b for the tilt.
     """
+    sin_b, cos_b = math.sqrt(max(1.0 - down * down, 0.0)), -down
+    per = 1.0 / max(sin_b, _LEVEL)
+    v_e = (lead - down * rise) * per
+    square = v_e * v_e + rise * rise
+    in_plane = math.sqrt(square)
+    # Motion nearly in the plane has almost no sideways part, whatever its change.
+    sideways = math.sqrt(max(1.0 - square, _SLIGHT * _SLIGHT))
+    inverse = 1.0 / max(in_plane, 1e-12)
+    cos_g, sin_g = v_e * inverse, -rise * inverse
+    up, up_g, up_b, back, back_g, back_b = planar_response(law, sin_b, cos_b, sin_g, cos_g)
 
-    @partial(compiled, inline=True)
-    def slope(law, g, rise, down, lead):
-        sin_b, cos_b = math.sqrt(max(1.0 - down * down, 0.0)), -down
-        per = 1.0 / max(sin_b, _LEVEL)
-        v_e = (lead - down * rise) * per
-        square = v_e * v_e + rise * rise
-        in_plane = math.sqrt(square)
-        # Motion nearly in the plane has almost no sideways part, whatever its change.
-        sideways = math.sqrt(max(1.0 - square, _SLIGHT * _SLIGHT))
-        inverse = 1.0 / max(in_plane, 1e-12)
-        cos_g, sin_g = v_e * inverse, -rise * inverse
-        up, up_g, up_b, back, back_g, back_b = planar(law, sin_b, cos_b, sin_g, cos_g)
-
-        # In the plane: its share k; and k times the attack's derivatives.
-        k, k_v = in_plane_slope(in_plane)
-        turn = k * inverse
-        k_e, k_r, g_e, g_r = k_v * cos_g, -k_v * sin_g, -turn * sin_g, -turn * cos_g
-        # Sideways: the resistance w per unit motion.
-        w, w_v = sideways_slope(sideways)
-        inverse = 1.0 / sideways
-        w *= law.side * inverse
-        turn = (w - law.side * w_v) * inverse * inverse
-        w_e, w_r = turn * v_e, turn * rise
-        e, z = w * v_e - k * back, w * rise + k * up
-        e_e, e_r = w + w_e * v_e - k_e * back - g_e * back_g, w_r * v_e - k_r * back - g_r * back_g
-        z_e, z_r = w_e * rise + k_e * up + g_e * up_g, w + w_r * rise + k_r * up + g_r * up_g
-        # From v_e, v.z and b to the cosines.
-        by_r, by_d = -down * per, (v_e * down * per - rise) * per
-        n, u = e * per, -w
-        n_l, n_r = e_e * per * per, (e_r + e_e * by_r) * per
-        n_d = (e_e * by_d + (n * down - k * back_b) * per) * per
-        u_l, u_r, u_d = -w_e * per, -(w_r + w_e * by_r), -w_e * by_d
-        z_l, z_r = z_e * per - n_l * down, z_r + z_e * by_r - n_r * down
-        z_d = k * up_b * per + z_e * by_d - n_d * down - n
-        z -= n * down
-        if sin_b < _LEVEL:  # takes the plane of its motion
-            flat, flat_r, flat_d, up, up_r, up_d = level(law, rise, down)
-            n, u, z = 0.0, -flat, up + flat * rise
-            n_l, u_l, z_l, n_r, n_d = 0.0, 0.0, 0.0, 0.0, 0.0
-            u_r, u_d = -flat_r, -flat_d
-            z_r, z_d = up_r + flat + flat_r * rise, up_d + flat_d * rise
-        by_rise, by_down = vector(n_r, u_r, z_r), vector(n_d, u_d, z_d)
-        return law.scale, vector(n, u, z), by_rise, by_down, vector(n_l, u_l, z_l)
-
-    return slope
-
-
-rft2d_slope = split_slope(planar_response, level_response)
+    # In the plane: its share k; and k times the attack's derivatives.
+    k, k_v = in_plane_slope(in_plane)
+    turn = k * inverse
+    k_e, k_r, g_e, g_r = k_v * cos_g, -k_v * sin_g, -turn * sin_g, -turn * cos_g
+    # Sideways: the resistance w per unit motion.
+    w, w_v = sideways_slope(sideways)
+    inverse = 1.0 / sideways
+    w *= law.side * inverse
+    turn = (w - law.side * w_v) * inverse * inverse
+    w_e, w_r = turn * v_e, turn * rise
+    e, z = w * v_e - k * back, w * rise + k * up
+    e_e, e_r = w + w_e * v_e - k_e * back - g_e * back_g, w_r * v_e - k_r * back - g_r * back_g
+    z_e, z_r = w_e * rise + k_e * up + g_e * up_g, w + w_r * rise + k_r * up + g_r * up_g
+    # From v_e, v.z and b to the cosines.
+    by_r, by_d = -down * per, (v_e * down * per - rise) * per
+    n, u = e * per, -w
+    n_l, n_r = e_e * per * per, (e_r + e_e * by_r) * per
+    n_d = (e_e * by_d + (n * down - k * back_b) * per) * per
+    u_l, u_r, u_d = -w_e * per, -(w_r + w_e * by_r), -w_e * by_d
+    z_l, z_r = z_e * per - n_l * down, z_r + z_e * by_r - n_r * down
+    z_d = k * up_b * per + z_e * by_d - n_d * down - n
+    z -= n * down
+    if sin_b < _LEVEL:  # takes the plane of its motion
+        flat, flat_r, flat_d, up, up_r, up_d = level_response(law, rise, down)
+        n, u, z = 0.0, -flat, up + flat * rise
+        n_l, u_l, z_l, n_r, n_d = 0.0, 0.0, 0.0, 0.0, 0.0
+        u_r, u_d = -flat_r, -flat_d
+        z_r, z_d = up_r + flat + flat_r * rise, up_d + flat_d * rise
+    by_rise, by_down = vector(n_r, u_r, z_r), vector(n_d, u_d, z_d)
+    return law.scale, vector(n, u, z), by_rise, by_down, vector(n_l, u_l, z_l)
 
 
 @register_law
@@ -209,7 +197,11 @@ class Rft2dLaw(RftLaw):
     lateral: float = 0.0
 
     def __post_init__(self) -> None:
-        check_plates(self)
+        self.check_options("density", "scale")
+        if (self.inertia > 0 or self.added > 0) and self.density == 0:
+            raise InputError(
+                f"{type(self).__name__}: inertia of sand needs the bulk density [kg/m^3]"
+            )
         for key in FOURIER_KEYS:
             if not is_finite(getattr(self, key)):
                 raise InputError(f"Rft2dLaw: {key} must be finite, not {shown(getattr(self, key))}")
@@ -230,11 +222,3 @@ class Rft2dLaw(RftLaw):
         # A plate dragged along itself: alpha_x at tilt 0, attack 0.
         side = self.C11 + self.C01 + self.Cm11
         return self.record(**coefficients, side=side, scale=self.scale * PER_CUBIC_CENTIMETRE)
-
-
-def check_plates(law: Any) -> None:
-    """Check options of laws of plates: inertia of sand needs its density."""
-    law.check_options("density", "scale")
-    if (law.inertia > 0 or law.added > 0) and law.density == 0:
-        name = type(law).__name__
-        raise InputError(f"{name}: inertia of sand needs the bulk density [kg/m^3]")

@@ -82,7 +82,6 @@ def _register_measured(row: dict[str, str]) -> None:
             "rft2d": _fourier(
                 tuple(float(row[key]) for key in FOURIER_KEYS), title[0].lower() + title[1:]
             ),
-            "rft2d_measured": {"density": bulk},
             "rft3d": {
                 "density": bulk,
                 "internal_friction": Quantity(

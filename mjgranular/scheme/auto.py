@@ -33,20 +33,12 @@ class Auto(SchemeChoice):
     def scheme_for(
         self, model: mujoco.MjModel, elements: int, *, adds_mass: bool = False
     ) -> Scheme:
-        chosen, step = Implicit(), model.opt.timestep
-        reason = f"at steps of {step:g} s it holds still what the sand can hold"
-        if adds_mass:
-            reason = "the law moves sand along, which the explicit scheme cannot"
-        elif step <= FINE_STEP:
-            chosen = Explicit(longest_step=FINE_STEP)
-            reason = (
-                f"the time step of {step:g} s is fine enough for forces as they come, which are "
-                "of second order"
-            )
-        elif elements > MANY_ELEMENTS and step <= _FINE_OF_MANY:
-            chosen = Explicit(longest_step=_FINE_OF_MANY)
-            reason = f"{elements} elements are many, and {step:g} s is a fine step"
-        _logger.info("scheme %s: %s", chosen.name, reason)
+        step, limit = model.opt.timestep, FINE_STEP
+        if elements > MANY_ELEMENTS and step > FINE_STEP:
+            limit = _FINE_OF_MANY
+        fine = step <= limit and not adds_mass
+        chosen = Explicit(longest_step=limit) if fine else Implicit()
+        _logger.info("scheme %s for %d elements and steps of %g s", chosen.name, elements, step)
         return chosen
 
 

@@ -56,6 +56,6 @@ def nanoseconds(longest_step: float) -> int:
 
 
 def bits_of(integrators: Iterable[str]) -> int:
-    """Return a bit mask of the given integrators that this MuJoCo has."""
+    """Return a bit mask of the given integrators."""
     known = mujoco.mjtIntegrator.__members__
-    return sum(1 << int(known[f"mjINT_{name}"]) for name in integrators if f"mjINT_{name}" in known)
+    return sum(1 << int(known[f"mjINT_{name}"]) for name in integrators)

@@ -23,7 +23,7 @@ import warp as wp
 from mjgranular.law.kernel import LawKernel, Level, Pose
 from mjgranular.scheme.added import momentum_of, most_given, share_after_turn
 from mjgranular.scheme.damping import prolonged
-from mjgranular.warp.grid import in_any_world, in_world
+from mjgranular.warp.grid import in_any_world, in_world, struct
 from mjgranular.warp.motions import (
     Damping,
     Slot,
@@ -47,6 +47,48 @@ _STILL = 1e-3
 _ALL_BUT = 0.05
 """Energy gain, relative to what the sand dissipates, below which forces nearly balance the load.
 Chosen: at 2 ms the weight of a robot does this much work at MuJoCo's sleep tolerance."""
+
+Tables = struct(
+    "Tables",
+    {
+        "slots": wp.array(dtype=Slot),  # bodies in the sand
+        "chain": wp.array(dtype=int),  # degrees of freedom that move each (`Slot`)
+        "most": wp.array(dtype=float),  # bound on the damping of each, times the time step [kg]
+        "dof_slots": wp.array(dtype=int),  # slots that each degree of freedom moves,
+        "dof_first": wp.array(dtype=int),  # from this index on
+        "rows": wp.array(dtype=int),  # of the numbers of the sparse inertia matrix
+        "columns": wp.array(dtype=int),
+        "row_first": wp.array(dtype=int),  # index of the first number of each row
+        "roots": wp.array(dtype=int),  # bodies: one for each robot
+        "root_first": wp.array(dtype=int),  # first degree of freedom of each robot
+    },
+)
+"""What is the same in all worlds and steps."""
+
+State = struct(
+    "State",
+    {
+        # Of degrees of freedom.
+        "predicted": wp.array2d(dtype=float),  # velocities at the end of the step
+        "found": wp.array2d(dtype=float),  # final velocities of the last solution of the equations
+        "gap": wp.array2d(dtype=float),  # difference between those predicted before and found
+        "creep": wp.array2d(dtype=float),  # velocities removed from creeping robots, else zero
+        "passive": wp.array2d(dtype=float),  # other passive forces
+        "fluid": wp.array2d(dtype=float),  # damping by fluids, sparse as the inertia matrix
+        # Of bodies.
+        "share": wp.array2d(dtype=float),  # factor on the speed of moving sand after a turn
+        "damping": wp.array2d(dtype=Damping),
+        "start_force": wp.array2d(dtype=wp.spatial_vector),  # of sand that moves
+        "limit": wp.array2d(dtype=float),  # sum of static resistance over the elements [N]
+        # Results: see `WarpSand`.
+        "depth": wp.array2d(dtype=float),
+        "speed": wp.array2d(dtype=float),
+        "force": wp.array2d(dtype=wp.vec3),
+        "moment": wp.array2d(dtype=wp.vec3),
+        "power": wp.array2d(dtype=float),
+    },
+)
+"""What a step computes in each world; allocated once, as CUDA graphs require."""
 
 _Pose, _Level = struct_of(Pose), struct_of(Level)
 prolonged_by = translated(prolonged)
@@ -72,12 +114,11 @@ def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any, remem
 
     @wp.kernel(module="unique", enable_backward=False)
     def resist(
-        slots: wp.array(dtype=Slot),
+        tables: Tables,
+        state: State,
         elements: wp.array(dtype=element_struct),
         laws: wp.array(dtype=law_struct),
         surface: surface_struct,
-        chain: wp.array(dtype=int),
-        most: wp.array(dtype=float),
         first: bool,
         last: bool,
         time: wp.array(dtype=float),
@@ -96,18 +137,9 @@ def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any, remem
         cdof: wp.array2d(dtype=wp.spatial_vector),
         cdof_dot: wp.array2d(dtype=wp.spatial_vector),
         qvel: wp.array2d(dtype=float),
-        predicted: wp.array2d(dtype=float),
-        found: wp.array2d(dtype=float),
-        gap: wp.array2d(dtype=float),
-        share: wp.array2d(dtype=float),
-        damping: wp.array2d(dtype=Damping),
-        start_force: wp.array2d(dtype=wp.spatial_vector),
-        depth: wp.array2d(dtype=float),
-        speed: wp.array2d(dtype=float),
-        limit: wp.array2d(dtype=float),
     ):
         world, s = wp.tid()
-        slot = slots[s]
+        slot = tables.slots[s]
         here = surface_in(surface, world)
         h = timestep[world % timestep.shape[0]]
         g = wp.length(gravity[world % gravity.shape[0]])
@@ -125,28 +157,28 @@ def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any, remem
             tree,
             now,
         )
-        ahead = motion_of(slot, chain, cdof, predicted, world)
+        ahead = motion_of(slot, tables.chain, cdof, state.predicted, world)
         sure = now  # the motion that the prediction started from
         past = now  # the previous prediction, which led to `sure`
         if not first:
-            sure = motion_of(slot, chain, cdof, found, world)
-            change = motion_of(slot, chain, cdof, gap, world)
+            sure = motion_of(slot, tables.chain, cdof, state.found, world)
+            change = motion_of(slot, tables.chain, cdof, state.gap, world)
             past = WarpMotion(sure.angular + change.angular, sure.linear + change.linear)
         level = _Level()
         if wp.static(has_cull):
             depth_here, normal = ceiling(here, pose.position)
             level = _Level(wp.transpose(pose.rotation) * normal, depth_here)
-        bound = most[s] / h
+        bound = tables.most[s] / h
         soft = eps
         if not first or time[world] > 0.0:  # else the limit belongs to another episode
-            soft = wp.max(eps, limit[world, s] / bound)
+            soft = wp.max(eps, state.limit[world, s] / bound)
         old = now  # the motion before the body's rotation changed
         slower = float(1.0)  # not yet known
         if wp.static(adds_mass):
-            turn = motion_of(slot, chain, cdof_dot, qvel, world)
+            turn = motion_of(slot, tables.chain, cdof_dot, qvel, world)
             old = WarpMotion(now.angular - h * turn.angular, now.linear - h * turn.linear)
             if not first:
-                slower = share[world, s]
+                slower = state.share[world, s]
         has, had = float(0.0), float(0.0)  # energies of the body's moving sand
         limits = float(0.0)
         total = Damping()
@@ -197,12 +229,12 @@ def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any, remem
                     total = about(total, arm)
                 total = added_to(total, c, arm)
         total = bounded(total, bound)
-        limit[world, s] = limits
-        share[world, s] = share_of_speed(has, had)
-        damping[world, s] = total
-        start_force[world, s] = wp.spatial_vector(twist - wp.cross(total.arm, push), push)
-        depth[world, s] = deepest
-        speed[world, s] = fastest
+        state.limit[world, s] = limits
+        state.share[world, s] = share_of_speed(has, had)
+        state.damping[world, s] = total
+        state.start_force[world, s] = wp.spatial_vector(twist - wp.cross(total.arm, push), push)
+        state.depth[world, s] = deepest
+        state.speed[world, s] = fastest
 
     return resist
 
@@ -286,26 +318,22 @@ def _nothing_added(found: Any, v: wp.vec3, h: float):
 
 @wp.kernel(enable_backward=False)
 def assemble_forces(
-    slots: wp.array(dtype=Slot),
-    dof_slots: wp.array(dtype=int),
-    dof_first: wp.array(dtype=int),
+    tables: Tables,
+    state: State,
     cdof: wp.array2d(dtype=wp.spatial_vector),
     cvel: wp.array2d(dtype=wp.spatial_vector),
-    damping: wp.array2d(dtype=Damping),
-    start_force: wp.array2d(dtype=wp.spatial_vector),
-    other: wp.array2d(dtype=float),
     force: wp.array2d(dtype=float),
 ):
     """Add the sand's forces at the present velocities to the other passive forces."""
     world, i = wp.tid()
     axis = spatial(cdof, world, i)
-    total = other[world, i]
-    for k in range(dof_first[i], dof_first[i + 1]):
-        s = dof_slots[k]
-        arm = damping[world, s].arm
-        now = moved(spatial(cvel, world, slots[s].body), arm)
-        wrench = wrench_of(damping[world, s], now)
-        kicked = spatial(start_force, world, s)
+    total = state.passive[world, i]
+    for k in range(tables.dof_first[i], tables.dof_first[i + 1]):
+        s = tables.dof_slots[k]
+        arm = state.damping[world, s].arm
+        now = moved(spatial(cvel, world, tables.slots[s].body), arm)
+        wrench = wrench_of(state.damping[world, s], now)
+        kicked = spatial(state.start_force, world, s)
         total += wp.dot(axis.angular, wrench.angular + kicked.angular)
         total += wp.dot(velocity_at(axis, arm), wrench.linear + kicked.linear)
     force[world, i] = total
@@ -313,28 +341,24 @@ def assemble_forces(
 
 @wp.kernel(enable_backward=False)
 def assemble_damping(
-    rows: wp.array(dtype=int),
-    columns: wp.array(dtype=int),
-    dof_slots: wp.array(dtype=int),
-    dof_first: wp.array(dtype=int),
+    tables: Tables,
+    state: State,
     timestep: wp.array(dtype=float),
     cdof: wp.array2d(dtype=wp.spatial_vector),
-    damping: wp.array2d(dtype=Damping),
-    other: wp.array2d(dtype=float),
     metric: wp.array2d(dtype=float),
 ):
     """Add h J^T C J, in the sparsity of the inertia matrix, to the damping of fluids."""
     world, k = wp.tid()
-    i = rows[k]
-    left, right = spatial(cdof, world, i), spatial(cdof, world, columns[k])
+    i = tables.rows[k]
+    left, right = spatial(cdof, world, i), spatial(cdof, world, tables.columns[k])
     total = float(0.0)
-    for m in range(dof_first[i], dof_first[i + 1]):
-        s = dof_slots[m]
-        arm = damping[world, s].arm
-        wrench = wrench_of(damping[world, s], moved(right, arm))
+    for m in range(tables.dof_first[i], tables.dof_first[i + 1]):
+        s = tables.dof_slots[m]
+        arm = state.damping[world, s].arm
+        wrench = wrench_of(state.damping[world, s], moved(right, arm))
         total -= wp.dot(left.angular, wrench.angular)
         total -= wp.dot(velocity_at(left, arm), wrench.linear)
-    metric[world, k] = other[world, k] + timestep[world % timestep.shape[0]] * total
+    metric[world, k] = state.fluid[world, k] + timestep[world % timestep.shape[0]] * total
 
 
 @wp.kernel(enable_backward=False)
@@ -342,25 +366,24 @@ def predict(
     timestep: wp.array(dtype=float),
     qvel: wp.array2d(dtype=float),
     qacc: wp.array2d(dtype=float),
-    predicted: wp.array2d(dtype=float),
+    state: State,
 ):
     """Predict the velocities at the end of the step from these accelerations."""
     world, i = wp.tid()
-    predicted[world, i] = qvel[world, i] + timestep[world % timestep.shape[0]] * qacc[world, i]
+    state.predicted[world, i] = (
+        qvel[world, i] + timestep[world % timestep.shape[0]] * qacc[world, i]
+    )
 
 
 @wp.kernel(enable_backward=False)
 def predict_again(
+    tables: Tables,
+    state: State,
     again: bool,
-    root_first: wp.array(dtype=int),
-    row_first: wp.array(dtype=int),
     timestep: wp.array(dtype=float),
     inertia: wp.array2d(dtype=float),
     qvel: wp.array2d(dtype=float),
     qacc: wp.array2d(dtype=float),
-    gap: wp.array2d(dtype=float),
-    found: wp.array2d(dtype=float),
-    predicted: wp.array2d(dtype=float),
 ):
     """Predict the velocities at the end of the step again, with extrapolation.
 
@@ -369,83 +392,71 @@ def predict_again(
     world, r = wp.tid()
     h = timestep[world % timestep.shape[0]]
     product, square = float(0.0), float(0.0)
-    for i in range(root_first[r], root_first[r + 1]):
-        change = predicted[world, i] - qvel[world, i] - h * qacc[world, i]
-        fall = gap[world, i] - change
-        gap[world, i] = change
-        weight = inertia[world, row_first[i + 1] - 1]
+    for i in range(tables.root_first[r], tables.root_first[r + 1]):
+        change = state.predicted[world, i] - qvel[world, i] - h * qacc[world, i]
+        fall = state.gap[world, i] - change
+        state.gap[world, i] = change
+        weight = inertia[world, tables.row_first[i + 1] - 1]
         product += weight * change * fall
         square += weight * fall * fall
     beyond = float(0.0)
     if again:
         beyond = prolonged_by(product, square)
-    for i in range(root_first[r], root_first[r + 1]):
+    for i in range(tables.root_first[r], tables.root_first[r + 1]):
         ended = qvel[world, i] + h * qacc[world, i]
-        predicted[world, i] = ended + beyond * (ended - found[world, i])
-        found[world, i] = ended
+        state.predicted[world, i] = ended + beyond * (ended - state.found[world, i])
+        state.found[world, i] = ended
 
 
 @wp.kernel(enable_backward=False)
 def warm_start(
+    state: State,
     timestep: wp.array(dtype=float),
     disabled: int,
     qvel: wp.array2d(dtype=float),
     qacc_warmstart: wp.array2d(dtype=float),
     time: wp.array(dtype=float),
-    creep: wp.array2d(dtype=float),
-    predicted: wp.array2d(dtype=float),
 ):
     """Predict the velocities at the end of the step by repeating the last change."""
     world, i = wp.tid()
     change = timestep[world % timestep.shape[0]] * qacc_warmstart[world, i]
     if disabled != 0 or not wp.isfinite(change):  # of a world that diverged, for example
         change = 0.0
-    if time[world] > 0.0 and creep[world, i] != 0.0:  # not from another episode
-        change = creep[world, i]
-    predicted[world, i] = qvel[world, i] + change
+    if time[world] > 0.0 and state.creep[world, i] != 0.0:  # not from another episode
+        change = state.creep[world, i]
+    state.predicted[world, i] = qvel[world, i] + change
 
 
 @wp.kernel(enable_backward=False)
 def wrenches_of_step(
-    slots: wp.array(dtype=Slot),
-    chain: wp.array(dtype=int),
+    tables: Tables,
+    state: State,
     xipos: wp.array2d(dtype=wp.vec3),
     subtree_com: wp.array2d(dtype=wp.vec3),
     cdof: wp.array2d(dtype=wp.spatial_vector),
-    velocity: wp.array2d(dtype=float),
-    damping: wp.array2d(dtype=Damping),
-    force: wp.array2d(dtype=wp.vec3),
-    moment: wp.array2d(dtype=wp.vec3),
-    power: wp.array2d(dtype=float),
 ):
     """Compute force, moment about the center of mass and power, at the step's final velocity."""
     world, s = wp.tid()
-    slot = slots[s]
-    arm = damping[world, s].arm
-    motion = moved(motion_of(slot, chain, cdof, velocity, world), arm)
-    wrench = wrench_of(damping[world, s], motion)
+    slot = tables.slots[s]
+    arm = state.damping[world, s].arm
+    motion = moved(motion_of(slot, tables.chain, cdof, state.predicted, world), arm)
+    wrench = wrench_of(state.damping[world, s], motion)
     lever = xipos[world, slot.body] - subtree_com[world, slot.root] - arm
     f = wrench.linear
-    force[world, s] = f
-    moment[world, s] = wrench.angular - wp.cross(lever, f)
-    power[world, s] = wp.dot(f, motion.linear) + wp.dot(wrench.angular, motion.angular)
+    state.force[world, s] = f
+    state.moment[world, s] = wrench.angular - wp.cross(lever, f)
+    state.power[world, s] = wp.dot(f, motion.linear) + wp.dot(wrench.angular, motion.angular)
 
 
 @wp.kernel(enable_backward=False)
 def stop_creep(
-    roots: wp.array(dtype=int),
-    root_first: wp.array(dtype=int),
-    slots: wp.array(dtype=Slot),
-    row_first: wp.array(dtype=int),
-    columns: wp.array(dtype=int),
+    tables: Tables,
+    state: State,
     timestep: wp.array(dtype=float),
     tolerance: wp.array(dtype=float),
     dof_length: wp.array(dtype=float),
     inertia: wp.array2d(dtype=float),
     qvel: wp.array2d(dtype=float),
-    velocity: wp.array2d(dtype=float),
-    power: wp.array2d(dtype=float),
-    creep: wp.array2d(dtype=float),
     qacc: wp.array2d(dtype=float),
 ):
     """Stop robots that only creep, and store the creep velocity; one thread per world and robot.
@@ -456,23 +467,23 @@ def stop_creep(
     """
     world, r = wp.tid()
     h = timestep[world % timestep.shape[0]]
-    first, end = root_first[r], root_first[r + 1]
+    first, end = tables.root_first[r], tables.root_first[r + 1]
     taken, gained, fastest = float(0.0), float(0.0), float(0.0)
-    for s in range(slots.shape[0]):
-        if slots[s].root == roots[r]:
-            taken -= h * power[world, s]
+    for s in range(tables.slots.shape[0]):
+        if tables.slots[s].root == tables.roots[r]:
+            taken -= h * state.power[world, s]
     for i in range(first, end):
-        v = velocity[world, i]
+        v = state.predicted[world, i]
         fastest = wp.max(fastest, dof_length[i] * wp.abs(v))
-        for k in range(row_first[i], row_first[i + 1]):
-            j = columns[k]
-            gained += inertia[world, k] * v * (velocity[world, j] - qvel[world, j])
+        for k in range(tables.row_first[i], tables.row_first[i + 1]):
+            j = tables.columns[k]
+            gained += inertia[world, k] * v * (state.predicted[world, j] - qvel[world, j])
             if j != i:
-                gained += inertia[world, k] * velocity[world, j] * (v - qvel[world, i])
+                gained += inertia[world, k] * state.predicted[world, j] * (v - qvel[world, i])
     slow = fastest < tolerance[world % tolerance.shape[0]]
     stops = slow and taken > 0.0 and gained <= _ALL_BUT * taken
     for i in range(first, end):
-        creep[world, i] = 0.0
+        state.creep[world, i] = 0.0
         if stops:
-            creep[world, i] = velocity[world, i]
+            state.creep[world, i] = state.predicted[world, i]
             qacc[world, i] = -qvel[world, i] / h

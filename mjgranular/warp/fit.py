@@ -1,7 +1,4 @@
-"""Check that a model fits MuJoCo Warp's step with sand, and that a device has enough memory for it.
-
-It also lists the model's bodies as integer tables.
-"""
+"""Check that a model fits MuJoCo Warp's step with sand, and list its bodies as integer tables."""
 
 from typing import Any
 
@@ -9,9 +6,7 @@ import mujoco
 import numpy as np
 
 from mjgranular.errors import InputError
-from mjgranular.relief.memory import Memory
 from mjgranular.relief.relief import Relief
-from mjgranular.sand.advice import coarser
 from mjgranular.shape.select import last_dof
 from mjgranular.surface import HeightField, Plane, Surface
 from mjgranular.warp.motions import SLOT_DTYPE
@@ -19,9 +14,6 @@ from mjgranular.warp.motions import SLOT_DTYPE
 _HAIR = 1e-5
 """Distance by which `coupled` moves an inertial frame, relative to the body's size. MuJoCo treats
 offsets below 1e-6 m as zero. Chosen."""
-
-_OF_A_NODE = 4 + 4 + 8 + 4
-"""Bytes per node of memory: height, tile, requested height, and contact geom."""
 
 
 def slots_of(model: mujoco.MjModel, elements: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -152,45 +144,3 @@ def coupled(spec: mujoco.MjSpec) -> mujoco.MjSpec:
         body.ipos = model.body_ipos[body.id] + [0.0, 0.0, _HAIR * size]
         body.explicitinertial = True
     return spec
-
-
-def check_room(
-    device: Any, worlds: int, of_a_world: int, elements: np.ndarray, resolution: int | None
-) -> None:
-    """Check that a GPU has enough memory for a sand; on a CPU the operating system manages it.
-
-    `of_a_world` are bytes per world, `elements` are shared by all worlds; `resolution` is as the
-    user set it. The error says the need, what is free, and what would fit.
-    """
-    if not device.is_cuda:
-        return
-    of_all, free = worlds * of_a_world, device.free_memory
-    needed = of_all + elements.nbytes
-    if needed <= free:
-        return
-    advice = f"take at most {max(1, (free - elements.nbytes) // of_a_world):,} worlds"
-    if of_all < free:
-        advice = coarser(elements, resolution, (free - of_all) // elements.itemsize)
-    raise InputError(
-        f"{len(elements):,} elements of sand in {worlds:,} worlds take {_gib(needed)}, and "
-        f"{device.alias} has {_gib(free)} left: {advice}"
-    )
-
-
-def check_room_to_remember(device: Any, worlds: int, memory: Memory) -> None:
-    """Check that a GPU has enough memory for the stored heights of all worlds."""
-    if not device.is_cuda:
-        return
-    needed, free = _OF_A_NODE * worlds * memory.size**2, device.free_memory
-    if needed <= free:
-        return
-    fits = 1.05 * memory.cell * (needed / max(free, 1)) ** 0.5
-    raise InputError(
-        f"a memory of {memory.size} by {memory.size} cells in {worlds:,} worlds takes "
-        f"{_gib(needed)}, and {device.alias} has {_gib(free)} left: take cells of {fits:.2g} m, a "
-        "smaller extent, or fewer worlds"
-    )
-
-
-def _gib(size: int) -> str:
-    return f"{size / 2**30:.2g} GiB"

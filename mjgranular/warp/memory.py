@@ -54,13 +54,12 @@ class WarpMemory:
         grid.height, grid.tile = zeros(nodes), zeros(nodes, int)
         grid.sums, grid.highest = zeros((count, blocks, blocks)), zeros((count,))
         self._grid = grid
-        self._wanted = wp.full(nodes, update.UNWANTED, dtype=wp.int64, device=device)
-        self._foot = zeros(nodes, int)
-        self._places = zeros(feet, wp.vec3)
-        self._waiting, self._count = zeros(feet), zeros(feet, int)
-        self._volumes = zeros((count, 3))
-        self._last, self._since = zeros((count,)), zeros((count, 2))
-        self._task, self._rate = zeros((count,), int), zeros((count,))
+        self._work = work = update.Work()
+        work.wanted = wp.full(nodes, update.UNWANTED, dtype=wp.int64, device=device)
+        work.foot, work.places = zeros(nodes, int), zeros(feet, wp.vec3)
+        work.waiting, work.count, work.volumes = zeros(feet), zeros(feet, int), zeros((count, 3))
+        work.last, work.since = zeros((count,)), zeros((count, 2))
+        work.task, work.rate = zeros((count,), int), zeros((count,))
         self._skin = wp.array(_skin_of(footprint), dtype=update.Skin, device=device)
 
         self.surface = surface_on_device(relief, record, model, device, grid)
@@ -77,34 +76,25 @@ class WarpMemory:
 
         In each world the surface is raised by `height` [m] along `up`.
         """
-        relief, foot, task, volumes = self._plain, self._foot, self._task, self._volumes
-        (worlds, _, blocks), feet = self._size, self._count.shape[1]
-        over_nodes, shares = (worlds, update.LANES), [self._waiting, self._count]
-        self._launch(
-            update.begin,
-            worlds,
-            [d.time, m.opt.gravity, self._relief.memory.cell, self._last, self._since],
-            [task, self._rate, *shares, volumes, self._grid.highest],
-        )
-        pressing = [self._skin, task, height, up, d.xpos, d.xmat, self._wanted, self._places]
-        self._launch(self._press, over_nodes, [self._leveled], pressing)
-        at_feet = [relief, task, self._places, foot]
-        self._launch(update.settle, over_nodes, at_feet, [self._wanted, self._waiting, volumes])
-        self._launch(update.edge, over_nodes, [relief, task, foot])
-        self._launch(update.surround, over_nodes, at_feet, shares)
-        self._launch(update.heap, over_nodes, at_feet, [*shares, volumes])
-        self._launch(update.keep, (worlds, feet), [relief, task, *shares, volumes])
+        relief, work = self._plain, self._work
+        (worlds, _, blocks), feet = self._size, work.count.shape[1]
+        over_nodes = (worlds, update.LANES)
+        self._launch(update.begin, worlds, d.time, m.opt.gravity, relief, work)
+        pressing = (self._leveled, self._skin, work, height, up, d.xpos, d.xmat)
+        self._launch(self._press, over_nodes, *pressing)
+        for kernel in (update.settle, update.edge, update.surround, update.heap):
+            self._launch(kernel, over_nodes, relief, work)
+        self._launch(update.keep, (worlds, feet), relief, work)
         # Squares of one pass share no node.
         for first_row in (0, 1):
             for first_column in (0, 1):
-                flowing = [self._leveled, task, self._rate, foot, first_row, first_column, volumes]
-                self._launch(self._flow, over_nodes, flowing)
-        self._launch(update.sum_up, (worlds, blocks * blocks), [relief, task])
+                self._launch(self._flow, over_nodes, self._leveled, work, first_row, first_column)
+        self._launch(update.sum_up, (worlds, blocks * blocks), relief, work)
 
     def volumes(self) -> dict[str, np.ndarray]:
         """Return the volumes of each world; see `WarpSand.volumes`."""
-        pressed, heaped, forgotten = self._volumes.numpy().T
-        waiting = self._waiting.numpy().sum(1)
+        pressed, heaped, forgotten = self._work.volumes.numpy().T
+        waiting = self._work.waiting.numpy().sum(1)
         return {"pressed": pressed, "heaped": heaped, "forgotten": forgotten, "waiting": waiting}
 
     def heights(self, world: int, middle: tuple[float, float]) -> Heights:
@@ -117,8 +107,7 @@ class WarpMemory:
         height = self._grid.height[world].numpy()[places].astype(float)
         return Heights(memory.cell * i, memory.cell * j, np.where(own, height, 0.0))
 
-    def _launch(self, kernel: Any, dim: Any, *arguments: list[Any]) -> None:
-        inputs = [each for part in arguments for each in part]
+    def _launch(self, kernel: Any, dim: Any, *inputs: Any) -> None:
         wp.launch(kernel, dim=dim, inputs=inputs, device=self._device)
 
 

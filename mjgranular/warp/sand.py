@@ -20,6 +20,8 @@ from mjgranular.sand.spec import SandFields, SandSpec, combined
 from mjgranular.scheme import Auto, Implicit, get_scheme
 from mjgranular.warp.constraints import Constraints
 from mjgranular.warp.damping import (
+    State,
+    Tables,
     assemble_damping,
     assemble_forces,
     predict,
@@ -32,8 +34,6 @@ from mjgranular.warp.damping import (
 from mjgranular.warp.fit import (
     check_model,
     check_no_plugins,
-    check_room,
-    check_room_to_remember,
     slots_of,
     slots_of_dofs,
     up_of,
@@ -59,9 +59,6 @@ CORRECTIONS = 3
 # Hoppers up to 15 cm deep diverged within 30 steps; with twice as much some of 300 deeper ones did.
 # Rest of a body is softer where its sand would exceed this damping.
 _MOST_DAMPING = 2e4
-
-_OF_A_BODY = Damping.numpy_dtype()["itemsize"] + 4 * (6 + 3 + 3 + 5)
-"""Bytes of a body in a world: damping, constant force, force, moment, and five numbers."""
 
 
 class WarpSand:
@@ -99,15 +96,6 @@ class WarpSand:
         UnknownNameError: as with `Sand`.
     """
 
-    strength: wp.array
-    density: wp.array
-    height: wp.array
-    force: wp.array
-    moment: wp.array
-    depth: wp.array
-    speed: wp.array
-    power: wp.array
-
     def __init__(
         self,
         model: mujoco.MjModel,
@@ -132,7 +120,7 @@ class WarpSand:
         check_no_plugins(model)
         chosen = choose_sand(model, spec)
         self.law, self.medium, self.surface = chosen.law, chosen.medium, chosen.surface
-        self._model, self._elements, self._resolution = model, chosen.elements, spec.resolution
+        self._model, self._elements = model, chosen.elements
         memory, self._footprint = as_memory(spec.memory), None
         if memory is not None:
             fits = fitting(model, chosen.geoms, memory)
@@ -157,8 +145,8 @@ class WarpSand:
             d: `mujoco_warp.Data`, of any number of worlds.
 
         Raises:
-            InputError: the sand is already attached, the model is another, its integrator or a flag
-                would omit the sand, or the device has too little memory.
+            InputError: the sand is already attached, the model is another, or its integrator or a
+                flag would omit the sand.
         """
         if self._attached_to is not None:
             raise InputError(
@@ -168,11 +156,6 @@ class WarpSand:
         model, device = self._model, d.qvel.device
         self._cold = int(m.opt.disableflags) & int(mujoco.mjtDisableBit.mjDSBL_WARMSTART)
         n, count = d.nworld, len(self._slots)
-        copied = (d.qfrc_passive, d.efm_fluid, d.efc.D, d.efc.aref)
-        of_a_world = count * _OF_A_BODY + 16 * model.nv + sum(a.capacity for a in copied) // n
-        check_room(device, n, of_a_world, self._elements, self._resolution)
-        if isinstance(self.surface, Relief):
-            check_room_to_remember(device, n, self.surface.memory)
         self._attached_to, self._device, self._size = m, device, (n, count)
 
         law_struct = struct_of_dtype(type(self.law).__name__, self._scene["law"].dtype)
@@ -189,46 +172,24 @@ class WarpSand:
         self._resist = resist_kernel(
             self._kernel, law_struct, surface_struct, self._memory is not None
         )
-        self._element_array = to_device(self._elements, self._kernel.element, device)
-        self._slot_array = to_device(self._slots, Slot, device)
+        self._elements_there = to_device(self._elements, self._kernel.element, device)
+        self._tables = self._tables_on(device)
 
-        def integers(values: Any) -> wp.array:
-            return wp.array(np.asarray(values, np.int32), dtype=wp.int32, device=device)
-
-        self._chain_array = integers(self._chain)
-        self._dof_slots, self._dof_first = map(
-            integers, slots_of_dofs(model.nv, self._slots, self._chain)
-        )
-        self._rows = integers(np.repeat(np.arange(model.nv), model.M_rownnz))
-        self._columns = integers(model.M_colind)
-        self._row_first = integers([*model.M_rowadr, len(model.M_colind)])
-        roots, first = np.unique(model.body_rootid[model.dof_bodyid], return_index=True)
-        self._roots, self._root_first = integers(roots), integers([*first, model.nv])
-
-        most = _MOST_DAMPING * model.body_subtreemass[self._slots["root"]]
-        self._most = wp.array(most, dtype=float, device=device)
-
-        def of_bodies(kind: Any = float) -> wp.array:
+        def zeros(count: int, kind: Any = float) -> wp.array:
             return wp.zeros((n, count), dtype=kind, device=device)
 
-        def of_dofs() -> wp.array:
-            return wp.zeros((n, model.nv), dtype=float, device=device)
-
+        self._state = state = State()
+        for name in ("predicted", "found", "gap", "creep"):
+            setattr(state, name, zeros(model.nv))
+        for name in ("share", "limit", "depth", "speed", "power"):
+            setattr(state, name, zeros(count))
+        state.force, state.moment = zeros(count, wp.vec3), zeros(count, wp.vec3)
+        state.damping, state.start_force = zeros(count, Damping), zeros(count, wp.spatial_vector)
+        state.passive, state.fluid = wp.zeros_like(d.qfrc_passive), wp.zeros_like(d.efm_fluid)
+        self.depth, self.speed, self.power = state.depth, state.speed, state.power
+        self.force, self.moment = state.force, state.moment
         self.strength, self.density = (wp.ones(n, dtype=float, device=device) for _ in range(2))
         self.height = wp.zeros(n, dtype=float, device=device)
-        self.depth, self.speed, self.power = of_bodies(), of_bodies(), of_bodies()
-        self.force, self.moment = of_bodies(wp.vec3), of_bodies(wp.vec3)
-        # What a step writes is allocated once, as CUDA graphs require.
-        self._predicted = of_dofs()  # velocities at the end of the step
-        self._found = of_dofs()  # final velocities of the last solution of the equations
-        self._gap = of_dofs()  # difference between the velocities predicted before and found
-        self._share = of_bodies()  # factor on the speed of moving sand after its body has turned
-        self._damping = of_bodies(Damping)
-        self._start_force = of_bodies(wp.spatial_vector)  # of sand that moves: momentum per time
-        self._limit = of_bodies()  # sum of static resistance over each body's elements [N]
-        self._creep = of_dofs()  # velocities removed from creeping robots, else zero
-        self._passive = wp.zeros_like(d.qfrc_passive)  # other passive forces
-        self._fluid = wp.zeros_like(d.efm_fluid)  # damping by fluids, sparse as the inertia matrix
         self._constraints = Constraints(d)
         self._control_before, self._sensor_before = m.callback.control, m.callback.sensor
         m.callback.control, m.callback.sensor = self._on_control, self._on_sensor
@@ -303,6 +264,25 @@ class WarpSand:
         good = np.isfinite(d.qpos.numpy()).all(1) & np.isfinite(d.qvel.numpy()).all(1)
         return np.flatnonzero(~good).tolist()
 
+    def _tables_on(self, device: Any) -> Any:
+        """Return the tables of kernels on a device."""
+
+        def integers(values: Any) -> wp.array:
+            return wp.array(np.asarray(values, np.int32), dtype=wp.int32, device=device)
+
+        model, tables = self._model, Tables()
+        tables.slots, tables.chain = to_device(self._slots, Slot, device), integers(self._chain)
+        most = _MOST_DAMPING * model.body_subtreemass[self._slots["root"]]
+        tables.most = wp.array(most, dtype=float, device=device)
+        moved, first_moved = slots_of_dofs(model.nv, self._slots, self._chain)
+        tables.dof_slots, tables.dof_first = integers(moved), integers(first_moved)
+        tables.rows = integers(np.repeat(np.arange(model.nv), model.M_rownnz))
+        tables.columns = integers(model.M_colind)
+        tables.row_first = integers([*model.M_rowadr, len(model.M_colind)])
+        roots, first = np.unique(model.body_rootid[model.dof_bodyid], return_index=True)
+        tables.roots, tables.root_first = integers(roots), integers([*first, model.nv])
+        return tables
+
     def _check_attached(self, what: str) -> None:
         if self._attached_to is None:
             raise InputError(f"{what}: attach the sand first, by sand.attach(m, d)")
@@ -311,28 +291,18 @@ class WarpSand:
         """Compute the damping of this step when MuJoCo Warp calls the control callback."""
         if self._control_before is not None:
             self._control_before(m, d)
-        wp.copy(self._passive, d.qfrc_passive)
-        wp.copy(self._fluid, d.efm_fluid)
+        tables, state, timestep = self._tables, self._state, m.opt.timestep
+        wp.copy(state.passive, d.qfrc_passive)
+        wp.copy(state.fluid, d.efm_fluid)
         self._constraints.find(m, d)
-        self._launch(
-            warm_start,
-            (self._size[0], self._model.nv),
-            [m.opt.timestep, self._cold, d.qvel, d.qacc_warmstart, d.time, self._creep],
-            [self._predicted],
-        )
+        starting = (timestep, self._cold, d.qvel, d.qacc_warmstart, d.time)
+        self._launch(warm_start, self._model.nv, state, *starting)
         count = self._corrections
         self._resist_all(m, d, first=True, last=count == 0)
         for correction in range(count):
             self._constraints.solve(m, d)
-            self._launch(
-                predict_again,
-                (self._size[0], len(self._roots)),
-                [
-                    *(correction > 0, self._root_first, self._row_first, m.opt.timestep),
-                    *(d.M, d.qvel, d.qacc),
-                ],
-                [self._gap, self._found, self._predicted],
-            )
+            solved = (correction > 0, timestep, d.M, d.qvel, d.qacc)
+            self._launch(predict_again, len(tables.roots), tables, state, *solved)
             self._resist_all(m, d, first=False, last=correction == count - 1)
         self._constraints.prepare(m, d)
 
@@ -342,75 +312,31 @@ class WarpSand:
             self._sensor_before(m, d, stage)
         if int(stage) != int(mujoco.mjtStage.mjSTAGE_ACC):
             return
-        of_dofs = (self._size[0], self._model.nv)
-        self._launch(predict, of_dofs, [m.opt.timestep, d.qvel, d.qacc], [self._predicted])
-        self._launch(
-            wrenches_of_step,
-            self._size,
-            [
-                *(self._slot_array, self._chain_array, d.xipos, d.subtree_com, d.cdof),
-                *(self._predicted, self._damping),
-            ],
-            [self.force, self.moment, self.power],
-        )
-        self._launch(
-            stop_creep,
-            (self._size[0], len(self._roots)),
-            [
-                *(self._roots, self._root_first, self._slot_array, self._row_first, self._columns),
-                *(m.opt.timestep, m.opt.sleep_tolerance, m.dof_length),
-                *(d.M, d.qvel, self._predicted, self.power),
-            ],
-            [self._creep, d.qacc],
-        )
+        tables, state, timestep = self._tables, self._state, m.opt.timestep
+        self._launch(predict, self._model.nv, timestep, d.qvel, d.qacc, state)
+        places = (d.xipos, d.subtree_com, d.cdof)
+        self._launch(wrenches_of_step, self._size[1], tables, state, *places)
+        limits = (timestep, m.opt.sleep_tolerance, m.dof_length)
+        self._launch(stop_creep, len(tables.roots), tables, state, *limits, d.M, d.qvel, d.qacc)
         if self._memory is not None:
             self._memory.update(m, d, self.height, self._up)
 
     def _resist_all(self, m: Any, d: Any, *, first: bool, last: bool) -> None:
         """Compute damping at the predicted velocities, its forces and its part of the metric."""
-        n = self._size[0]
+        tables, state, timestep = self._tables, self._state, m.opt.timestep
         self._launch(
             self._resist,
-            self._size,
-            [
-                *(self._slot_array, self._element_array, self._laws, self._surface),
-                *(self._chain_array, self._most, first, last, d.time),
-                *(self.strength, self.density, self.height),
-                *(self._up, self._softness, m.opt.timestep, m.opt.gravity),
-                *(d.xpos, d.xmat, d.xipos, d.subtree_com, d.cvel, d.cdof, d.cdof_dot, d.qvel),
-                *(self._predicted, self._found, self._gap),
-            ],
-            [self._share, self._damping, self._start_force, self.depth, self.speed, self._limit],
+            self._size[1],
+            *(tables, state, self._elements_there, self._laws, self._surface),
+            *(first, last, d.time, self.strength, self.density, self.height),
+            *(self._up, self._softness, timestep, m.opt.gravity),
+            *(d.xpos, d.xmat, d.xipos, d.subtree_com, d.cvel, d.cdof, d.cdof_dot, d.qvel),
         )
-        of_dofs = [self._dof_slots, self._dof_first]
-        self._launch(
-            assemble_forces,
-            (n, self._model.nv),
-            [
-                self._slot_array,
-                *of_dofs,
-                d.cdof,
-                d.cvel,
-                self._damping,
-                self._start_force,
-                self._passive,
-            ],
-            [d.qfrc_passive],
-        )
-        self._launch(
-            assemble_damping,
-            (n, len(self._rows)),
-            [
-                self._rows,
-                self._columns,
-                *of_dofs,
-                m.opt.timestep,
-                d.cdof,
-                self._damping,
-                self._fluid,
-            ],
-            [d.efm_fluid],
-        )
+        forces = (d.cdof, d.cvel, d.qfrc_passive)
+        self._launch(assemble_forces, self._model.nv, tables, state, *forces)
+        metric = (timestep, d.cdof, d.efm_fluid)
+        self._launch(assemble_damping, len(tables.rows), tables, state, *metric)
 
-    def _launch(self, kernel: Any, dim: Any, inputs: list[Any], outputs: list[Any]) -> None:
-        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self._device)
+    def _launch(self, kernel: Any, count: int, *inputs: Any) -> None:
+        """Run a kernel for each world, and in each for `count` bodies, robots or numbers."""
+        wp.launch(kernel, dim=(self._size[0], count), inputs=inputs, device=self._device)

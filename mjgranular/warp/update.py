@@ -63,6 +63,23 @@ MOST_FEET = 1 << 12
 PRESSED, HEAPED, FORGOTTEN = range(3)
 """Volumes of each world [m^3]."""
 
+Work = struct(
+    "Work",
+    {
+        "task": wp.array(dtype=int),  # of each world
+        "rate": wp.array(dtype=float),  # at which its sand flows
+        "last": wp.array(dtype=float),  # time of its last step [s]
+        "since": wp.array2d(dtype=float),  # time since it pressed, and since it flowed
+        "wanted": wp.array3d(dtype=wp.int64),  # heights that surface points request (`press`)
+        "foot": wp.array3d(dtype=int),  # labels of nodes
+        "places": wp.array2d(dtype=wp.vec3),  # of contact geoms, along the axes of the plane [m]
+        "waiting": wp.array2d(dtype=float),  # volumes that they displaced, to be deposited [m^3]
+        "count": wp.array2d(dtype=int),  # number of parts in which that is deposited
+        "volumes": wp.array2d(dtype=float),  # moved since the start of each world
+    },
+)
+"""What the kernels of an update pass on to each other."""
+
 _NEAR = 32  # more than the number of edge nodes within two cells
 
 _is_sand, _has_edges, _skin_at = (translated(each) for each in (is_sand, has_edges, skin_at))
@@ -80,12 +97,12 @@ def tile_beside(place: wp.vec3, row: int, column: int, cell: float, size: int):
 
 
 @wp.func
-def claim(relief: Any, tile: int, row: int, column: int, volumes: wp.array2d(dtype=float)):
+def claim(relief: Any, work: Work, tile: int, row: int, column: int):
     """Assign a place to a tile; the height stored there before is forgotten."""
     grid = relief.state
     if grid.tile[grid.world, row, column] != tile:
         lost = relief.cell * relief.cell * grid.height[grid.world, row, column]
-        wp.atomic_add(volumes, grid.world, FORGOTTEN, lost)
+        wp.atomic_add(work.volumes, grid.world, FORGOTTEN, lost)
         grid.height[grid.world, row, column] = 0.0
         grid.tile[grid.world, row, column] = tile
 
@@ -94,56 +111,50 @@ def claim(relief: Any, tile: int, row: int, column: int, volumes: wp.array2d(dty
 def begin(
     time: wp.array(dtype=float),
     gravity: wp.array(dtype=wp.vec3),
-    cell: float,
-    last: wp.array(dtype=float),
-    since: wp.array2d(dtype=float),
-    task: wp.array(dtype=int),
-    rate: wp.array(dtype=float),
-    waiting: wp.array2d(dtype=float),
-    count: wp.array2d(dtype=int),
-    volumes: wp.array2d(dtype=float),
-    highest: wp.array(dtype=float),
+    surface: PlainRelief,
+    work: Work,
 ):
     """Choose the task of each world by its time: a world whose time decreased has restarted."""
     world = wp.tid()
+    highest = surface.state.highest
     now = time[world]
-    passed = now - last[world]
-    last[world] = now
-    task[world] = IDLE
-    for f in range(count.shape[1]):
-        count[world, f] = 0
+    passed = now - work.last[world]
+    work.last[world] = now
+    work.task[world] = IDLE
+    for f in range(work.count.shape[1]):
+        work.count[world, f] = 0
     if passed < 0.0:
-        task[world] = BEGINS
-        since[world, 0] = 0.0
-        since[world, 1] = 0.0
+        work.task[world] = BEGINS
+        work.since[world, 0] = 0.0
+        work.since[world, 1] = 0.0
         highest[world] = 0.0
-        for f in range(count.shape[1]):
-            waiting[world, f] = 0.0
-        for n in range(volumes.shape[1]):
-            volumes[world, n] = 0.0
+        for f in range(work.count.shape[1]):
+            work.waiting[world, f] = 0.0
+        for n in range(work.volumes.shape[1]):
+            work.volumes[world, n] = 0.0
         return
     g = wp.length(gravity[world % gravity.shape[0]])
-    passed *= wp.sqrt(g / cell)
+    passed *= wp.sqrt(g / surface.cell)
     if passed == 0.0:
         return
-    since[world, 0] += passed
-    since[world, 1] += passed
-    if since[world, 0] < PRESSED_AFTER:
+    work.since[world, 0] += passed
+    work.since[world, 1] += passed
+    if work.since[world, 0] < PRESSED_AFTER:
         return
-    task[world] = PRESSES
-    since[world, 0] = 0.0
+    work.task[world] = PRESSES
+    work.since[world, 0] = 0.0
     highest[world] = 0.0
-    if since[world, 1] >= FLOWS_AFTER:
-        task[world] = FLOWS
-        rate[world] = wp.min(since[world, 1], FASTEST)
-        since[world, 1] = 0.0
+    if work.since[world, 1] >= FLOWS_AFTER:
+        work.task[world] = FLOWS
+        work.rate[world] = wp.min(work.since[world, 1], FASTEST)
+        work.since[world, 1] = 0.0
 
 
 @wp.kernel(enable_backward=False)
-def sum_up(surface: PlainRelief, task: wp.array(dtype=int)):
+def sum_up(surface: PlainRelief, work: Work):
     """Sum heights over blocks, and find the highest."""
     world, block = wp.tid()
-    if task[world] == IDLE:
+    if work.task[world] == IDLE:
         return
     relief = in_world(surface, world)
     grid, width = relief.state, relief.size // relief.blocks
@@ -188,17 +199,15 @@ def press_kernel(relief_struct: Any, level: Any) -> Any:
     def press(
         surface: relief_struct,
         skin: wp.array(dtype=Skin),
-        task: wp.array(dtype=int),
+        work: Work,
         height: wp.array(dtype=float),
         up: wp.vec3,
         xpos: wp.array2d(dtype=wp.vec3),
         xmat: wp.array2d(dtype=wp.mat33),
-        wanted: wp.array3d(dtype=wp.int64),
-        places: wp.array2d(dtype=wp.vec3),
     ):
         """Let each surface point request lower heights at the four nodes around it."""
         world, lane = wp.tid()
-        if task[world] < PRESSES:
+        if work.task[world] < PRESSES:
             return
         relief = in_world(surface, world)
         cell, size = relief.cell, relief.size
@@ -207,7 +216,7 @@ def press_kernel(relief_struct: Any, level: Any) -> Any:
             each = skin[n]
             turn, origin = xmat[world, each.body], xpos[world, each.body] - lift
             place = place_of(relief, origin + turn * each.point)
-            places[world, each.foot] = place
+            work.places[world, each.foot] = place
             u, v = place[0], place[1]
             slope_u, slope_v = float(0.0), float(0.0)
             if wp.length(each.normal) > 0.5:
@@ -231,51 +240,44 @@ def press_kernel(relief_struct: Any, level: Any) -> Any:
                         number = wp.int64(wp.float64(low) * wp.float64(_NANOMETRES))
                         number = number * wp.int64(MOST_FEET) + wp.int64(each.foot)
                         row, column = wrapped(i + di, size), wrapped(j + dj, size)
-                        wp.atomic_min(wanted, world, row, column, number)
+                        wp.atomic_min(work.wanted, world, row, column, number)
 
     return press
 
 
 @wp.kernel(enable_backward=False)
-def settle(
-    surface: PlainRelief,
-    task: wp.array(dtype=int),
-    places: wp.array2d(dtype=wp.vec3),
-    foot: wp.array3d(dtype=int),
-    wanted: wp.array3d(dtype=wp.int64),
-    waiting: wp.array2d(dtype=float),
-    volumes: wp.array2d(dtype=float),
-):
+def settle(surface: PlainRelief, work: Work):
     """Press nodes down to the requested heights; clear everything where a world restarts."""
     world, lane = wp.tid()
-    if task[world] == IDLE:
+    if work.task[world] == IDLE:
         return
     relief = in_world(surface, world)
     grid, cell, size = relief.state, relief.cell, relief.size
     for n in range(lane, size * size, LANES):
         row = n // size
         column = n - row * size
-        number = wanted[world, row, column]
-        foot[world, row, column] = wp.where(foot[world, row, column] >= 0, LEFT, NOTHING)
-        if task[world] == BEGINS:
+        number = work.wanted[world, row, column]
+        work.foot[world, row, column] = wp.where(work.foot[world, row, column] >= 0, LEFT, NOTHING)
+        if work.task[world] == BEGINS:
             grid.height[world, row, column] = 0.0
             grid.tile[world, row, column] = 0
         if number == _UNWANTED:
             continue
-        wanted[world, row, column] = _UNWANTED
+        work.wanted[world, row, column] = _UNWANTED
         # Integer modulo that rounds down for either sign.
         f = int(((number % wp.int64(MOST_FEET)) + wp.int64(MOST_FEET)) % wp.int64(MOST_FEET))
         low = float(
             wp.float64((number - wp.int64(f)) // wp.int64(MOST_FEET)) / wp.float64(_NANOMETRES)
         )
-        claim(relief, tile_beside(places[world, f], row, column, cell, size), row, column, volumes)
-        foot[world, row, column] = f
+        tile = tile_beside(work.places[world, f], row, column, cell, size)
+        claim(relief, work, tile, row, column)
+        work.foot[world, row, column] = f
         lowered = grid.height[world, row, column] - low - relief.slack
         if lowered > LEAST * relief.slack:
             grid.height[world, row, column] -= lowered
             volume = cell * cell * lowered
-            wp.atomic_add(waiting, world, f, volume)
-            wp.atomic_add(volumes, world, PRESSED, volume)
+            wp.atomic_add(work.waiting, world, f, volume)
+            wp.atomic_add(work.volumes, world, PRESSED, volume)
 
 
 @wp.func
@@ -285,41 +287,34 @@ def share_of(volume: float, count: int, cell: float):
 
 
 @wp.kernel(enable_backward=False)
-def edge(surface: PlainRelief, task: wp.array(dtype=int), foot: wp.array3d(dtype=int)):
+def edge(surface: PlainRelief, work: Work):
     """Find the track nodes that have sand beside them."""
     world, lane = wp.tid()
-    if task[world] < PRESSES:
+    if work.task[world] < PRESSES:
         return
     size = surface.size
     for n in range(lane, size * size, LANES):
         row = n // size
         column = n - row * size
-        if foot[world, row, column] < 0:
+        if work.foot[world, row, column] < 0:
             continue
         has_sand = int(0)
         for di in range(-1, 2):
             for dj in range(-1, 2):
-                if foot[world, wrapped(row + di, size), wrapped(column + dj, size)] == NOTHING:
+                if work.foot[world, wrapped(row + di, size), wrapped(column + dj, size)] == NOTHING:
                     has_sand = int(1)
         if has_sand == 1:
-            foot[world, row, column] += MOST_FEET
+            work.foot[world, row, column] += MOST_FEET
 
 
 @wp.kernel(enable_backward=False)
-def surround(
-    surface: PlainRelief,
-    task: wp.array(dtype=int),
-    places: wp.array2d(dtype=wp.vec3),
-    foot: wp.array3d(dtype=int),
-    waiting: wp.array2d(dtype=float),
-    count: wp.array2d(dtype=int),
-):
+def surround(surface: PlainRelief, work: Work):
     """Find the nodes within two cells of a track's edge; the nearest of several tracks counts."""
     world, lane = wp.tid()
-    if task[world] < PRESSES:
+    if work.task[world] < PRESSES:
         return
     relief = in_world(surface, world)
-    cell, size = relief.cell, relief.size
+    foot, cell, size = work.foot, relief.cell, relief.size
     has_edge = _has_edges(relief)
     for n in range(lane, size * size, LANES):
         row = n // size
@@ -336,7 +331,7 @@ def surround(
                     found = f
         if found < 0:
             continue
-        if not (waiting[world, found] > 0.0):
+        if not (work.waiting[world, found] > 0.0):
             continue
         near = int(0)
         for di in range(-2, 3):
@@ -344,58 +339,45 @@ def surround(
                 f = foot[world, wrapped(row + di, size), wrapped(column + dj, size)] - MOST_FEET
                 near += wp.where(f == found, 1, 0)
         if has_edge:
-            tile = tile_beside(places[world, found], row, column, cell, size)
+            tile = tile_beside(work.places[world, found], row, column, cell, size)
             i, j = node_in(tile, row, column, size)
             if not _is_sand(relief, float(i) * cell, float(j) * cell):
                 continue
         foot[world, row, column] = BESIDE - (found * _NEAR + near)
-        wp.atomic_add(count, world, found, near)
+        wp.atomic_add(work.count, world, found, near)
 
 
 @wp.kernel(enable_backward=False)
-def heap(
-    surface: PlainRelief,
-    task: wp.array(dtype=int),
-    places: wp.array2d(dtype=wp.vec3),
-    foot: wp.array3d(dtype=int),
-    waiting: wp.array2d(dtype=float),
-    count: wp.array2d(dtype=int),
-    volumes: wp.array2d(dtype=float),
-):
+def heap(surface: PlainRelief, work: Work):
     """Deposit sand beside tracks."""
     world, lane = wp.tid()
-    if task[world] < PRESSES:
+    if work.task[world] < PRESSES:
         return
     relief = in_world(surface, world)
     grid, cell, size = relief.state, relief.cell, relief.size
     for n in range(lane, size * size, LANES):
         row = n // size
         column = n - row * size
-        code = BESIDE - foot[world, row, column]
+        code = BESIDE - work.foot[world, row, column]
         if code < 0:
             continue
         f = code // _NEAR
-        claim(relief, tile_beside(places[world, f], row, column, cell, size), row, column, volumes)
-        share = share_of(waiting[world, f], count[world, f], cell)
+        tile = tile_beside(work.places[world, f], row, column, cell, size)
+        claim(relief, work, tile, row, column)
+        share = share_of(work.waiting[world, f], work.count[world, f], cell)
         grid.height[world, row, column] += float(code % _NEAR) * share
 
 
 @wp.kernel(enable_backward=False)
-def keep(
-    surface: PlainRelief,
-    task: wp.array(dtype=int),
-    waiting: wp.array2d(dtype=float),
-    count: wp.array2d(dtype=int),
-    volumes: wp.array2d(dtype=float),
-):
+def keep(surface: PlainRelief, work: Work):
     """Keep volume that did not fit beside a track for later steps."""
     world, f = wp.tid()
-    if task[world] < PRESSES or count[world, f] == 0:
+    if work.task[world] < PRESSES or work.count[world, f] == 0:
         return
-    cell, found = surface.cell, count[world, f]
-    heaped = cell * cell * float(found) * share_of(waiting[world, f], found, cell)
-    waiting[world, f] -= heaped
-    wp.atomic_add(volumes, world, HEAPED, heaped)
+    cell, found = surface.cell, work.count[world, f]
+    heaped = cell * cell * float(found) * share_of(work.waiting[world, f], found, cell)
+    work.waiting[world, f] -= heaped
+    wp.atomic_add(work.volumes, world, HEAPED, heaped)
 
 
 @functools.cache
@@ -404,21 +386,13 @@ def flow_kernel(relief_struct: Any, level: Any) -> Any:
     level_at = translated(level)
 
     @wp.kernel(module="unique", enable_backward=False)
-    def flow(
-        surface: relief_struct,
-        task: wp.array(dtype=int),
-        rate: wp.array(dtype=float),
-        foot: wp.array3d(dtype=int),
-        first_row: int,
-        first_column: int,
-        volumes: wp.array2d(dtype=float),
-    ):
+    def flow(surface: relief_struct, work: Work, first_row: int, first_column: int):
         """Level the steepest triangles of every other square along both axes.
 
         Sand does not flow over stored heights that belong to another tile.
         """
         world, lane = wp.tid()
-        if task[world] != FLOWS:
+        if work.task[world] != FLOWS:
             return
         relief = in_world(surface, world)
         grid, cell, size = relief.state, relief.cell, relief.size
@@ -450,7 +424,7 @@ def flow_kernel(relief_struct: Any, level: Any) -> Any:
                 u, v = float(i + di) * cell, float(j + dj) * cell
                 height = (grid.height[world, x, y] + level_at(relief, u, v)) / cell
                 if (
-                    foot[world, x, y] >= 0
+                    work.foot[world, x, y] >= 0
                     or (tile != 0 and tile != tile_of(i + di, j + dj, size))
                     or (has_edge and not _is_sand(relief, u, v))
                 ):
@@ -475,7 +449,7 @@ def flow_kernel(relief_struct: Any, level: Any) -> Any:
             b = _slope_to(heights[corner], heights[beside], t, flat_b)
             s = wp.where(wp.isnan(heights[ahead]), 0.0, s)
             t = wp.where(wp.isnan(heights[beside]), 0.0, t)
-            g, h = _gains_of(a, b, up, relief.repose, s, t, rate[world])
+            g, h = _gains_of(a, b, up, relief.repose, s, t, work.rate[world])
             gained = wp.vec4()
             gained[corner] = -g - h
             gained[ahead] = g
@@ -484,7 +458,7 @@ def flow_kernel(relief_struct: Any, level: Any) -> Any:
                 if gained[k] != 0.0:
                     di, dj = k // 2, k % 2
                     x, y = wrapped(row + di, size), wrapped(column + dj, size)
-                    claim(relief, tile_of(i + di, j + dj, size), x, y, volumes)
+                    claim(relief, work, tile_of(i + di, j + dj, size), x, y)
                     grid.height[world, x, y] += cell * gained[k]
 
     return flow

@@ -27,7 +27,6 @@ LAWS = {
         "medium='poppy_seed_loose', law='rft2d', resolution=4",
         "medium='glass_beads', law='rft2d', resolution=3",
     ),
-    "rft2d_measured": ("medium='glass_beads_loose', law='rft2d_measured', resolution=4",),
     "rft3d": ("medium='quikrete_medium', law='rft3d', resolution=4",),
     "rft2d_dynamic": ("medium='poppy_seed_loose', law='rft2d_dynamic', resolution=4",),
     "rft3d_dynamic": ("medium='quikrete_medium', law='rft3d_dynamic', resolution=4",),

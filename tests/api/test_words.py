@@ -129,7 +129,7 @@ def test_a_robot_starts_on_a_surface_in_words() -> None:
         (
             "rtf3d scale=1",
             "no law 'rtf3d'; there are: depth_velocity, link, link_distributed, rft2d, "
-            "rft2d_dynamic, rft2d_measured, rft3d, rft3d_dynamic; did",
+            "rft2d_dynamic, rft3d, rft3d_dynamic; did",
         ),
     ],
 )
@@ -204,7 +204,7 @@ def test_the_parameters_of_a_law_are_listed(capsys: pytest.CaptureFixture[str]) 
             "rft3d",
             "rtf3d",
             "no law 'rtf3d'; there are: depth_velocity, link, link_distributed, rft2d, "
-            "rft2d_dynamic, rft2d_measured, rft3d, rft3d_dynamic; did",
+            "rft2d_dynamic, rft3d, rft3d_dynamic; did",
         ),
         ("value: 0.4", "value: -0.4", "from 0 to 2, not -0.4"),
     ],

@@ -23,20 +23,20 @@ SPHERE = DepthVelocityLaw.katsuragi_durian(mass=MASS, stiffness=STIFFNESS, drag_
 # Each of the survey's models, and its resistance as it is printed.
 MODELS = {
     "Bingham": (
-        DepthVelocityLaw.bingham(constant=2.0, linear=1.5),
+        DepthVelocityLaw(constant=2.0, linear=1.5),
         lambda z, v: 2.0 + 1.5 * v,
     ),
     "Poncelet": (
-        DepthVelocityLaw.poncelet(constant=2.0, quadratic=0.7),
+        DepthVelocityLaw(constant=2.0, quadratic=0.7),
         lambda z, v: 2.0 + 0.7 * v**2,
     ),
     "Allen, Mayfield, Morrison": (
-        DepthVelocityLaw.allen_mayfield_morrison(quadratic=0.7, linear=1.5, constant=2.0),
+        DepthVelocityLaw(quadratic=0.7, linear=1.5, constant=2.0),
         lambda z, v: 0.7 * v**2 + 1.5 * v + 2.0,
     ),
-    "Lohse": (DepthVelocityLaw.lohse(stiffness=60.0), lambda z, v: 60.0 * z),
+    "Lohse": (DepthVelocityLaw(stiffness=60.0), lambda z, v: 60.0 * z),
     "Tsimring, Volfson": (
-        DepthVelocityLaw.tsimring_volfson(stiffness=60.0, quadratic=0.7),
+        DepthVelocityLaw(stiffness=60.0, quadratic=0.7),
         lambda z, v: 60.0 * z + 0.7 * v**2,
     ),
     "Katsuragi, Durian": (SPHERE, lambda z, v: STIFFNESS * z + MASS / LENGTH * v**2),

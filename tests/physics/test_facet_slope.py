@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from mjgranular import MeasuredRft2dLaw, Plane, Rft2dLaw, Rft3dLaw, media
+from mjgranular import Plane, Rft2dLaw, Rft3dLaw, media
 from mjgranular.law import rft3d
 from mjgranular.law.facet import facet_kernel
 from mjgranular.law.rft import stress_of
@@ -33,8 +33,6 @@ LAWS = {
     "rft3d_lateral": Rft3dLaw(1500.0, 0.6, 0.2, lateral=1.4),
     "rft3d_lateral_high": Rft3dLaw(1500.0, 0.6, 0.2, lateral=2.4),
 }
-# Interpolated, so without a formula in extended precision (`test_resistive_force_theory`).
-MEASURED = {"rft2d_measured": MeasuredRft2dLaw.from_medium(media["poppy_seed_loose"])}
 SQUARE = ((-1, -1), (1, -1), (1, 1), (-1, 1))
 
 
@@ -263,10 +261,10 @@ def test_against_polygons_and_differences(kernels, name):
     assert min(wet[x] for x in ("all", "trapezium", "corner", "all but a corner")) > 4
 
 
-@pytest.mark.parametrize("name", [*LAWS, *MEASURED])
+@pytest.mark.parametrize("name", LAWS)
 def test_a_facet_begins_to_lead_as_a_whole_without_a_jump(kernels, name):
     # Up to rounding: the quicker kernel may answer for any block whose facets all lead.
-    law = {**LAWS, **MEASURED}[name]
+    law = LAWS[name]
     kernel, record = (
         kernels.Kernels(law.kernel(Plane())),
         law.parameters(media["quikrete_medium"])[0],

@@ -16,7 +16,6 @@ SANDS = (
     {"law": "link"},
     {"law": "link_distributed"},
     {"law": "rft2d", "medium": "poppy_seed_loose", "resolution": 4},
-    {"law": "rft2d_measured", "medium": "poppy_seed_close", "resolution": 4},
     {"law": "rft3d", "medium": "quikrete_medium", "resolution": 4},
     {"law": BLOB},
 )

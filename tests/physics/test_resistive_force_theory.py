@@ -17,7 +17,6 @@ from mjgranular import (
     DynamicRft3dLaw,
     Explicit,
     InputError,
-    MeasuredRft2dLaw,
     Plane,
     Rft2dLaw,
     Rft3dLaw,
@@ -28,9 +27,7 @@ from mjgranular.kernel.vector import read_vector
 from mjgranular.law.lateral import lateral_slope
 from mjgranular.law.rft import stress_of
 from mjgranular.law.rft2d import planar_response
-from mjgranular.law.rft2d_measured import table_response
 from mjgranular.law.rft3d import C1, C2, C3, polynomial_slope
-from mjgranular.medium.stresses import measured_stresses
 from mjgranular.shape import facets_from_model
 
 PUBLISHED = json.loads(
@@ -274,82 +271,6 @@ def test_quikrete_resists_as_published():
     # To the last digit; the measured value is 4 % less.
     assert stress(QUIKRETE, -UP, -UP)[2] == pytest.approx(published["formula"] * 1e6, abs=0.005e6)
     assert published["measured"] == pytest.approx(published["formula"], rel=0.05)
-
-
-@cache
-def measured_response():
-    """The interpolated response of a law's record to tilt and attack."""
-
-    @njit(error_model="numpy")
-    def call(law, b, g):
-        return table_response(law, math.sin(b), math.cos(b), math.sin(g), math.cos(g))
-
-    return call
-
-
-@pytest.mark.parametrize("name", sorted(measured_stresses()))
-def test_measured_stresses_are_met(name):
-    law, response = record(MeasuredRft2dLaw.from_medium(name)), measured_response()
-    tangents = np.array([0, 1 / 3, 2 / 3, 1, 1.5, 3, np.inf])
-    attacks = np.arctan([*-tangents[:0:-1], *tangents])
-    stresses = measured_stresses()[name]
-    assert stresses.shape == (2, 7, 13)
-    energy = stresses[0] * np.sin(attacks) + stresses[1] * np.cos(attacks)
-    for row, tilt in enumerate(np.radians(np.arange(-90, 91, 30))):
-        for column, attack in enumerate(attacks):
-            found = response(law, tilt % math.pi, attack)
-            measured = stresses[:, row, column]
-            if abs(attack) > 1.57:  # up or down: what is alike of both tilts is averaged
-                measured = (measured + stresses[:, 6 - row, column] * [1, -1]) / 2
-            # Less than nothing is none: some measured stresses would drive the plate.
-            given = max(-energy[row, column], 0.0)
-            assert (found[0], found[3]) == pytest.approx(measured, abs=given + 5e-5)
-
-
-@pytest.mark.parametrize("name", sorted(measured_stresses()))
-def test_interpolated_stresses_and_their_derivatives(name):
-    law, response = record(MeasuredRft2dLaw.from_medium(name)), measured_response()
-    rng = np.random.default_rng(0)
-    lowest, highest = measured_stresses()[name].min((1, 2)), measured_stresses()[name].max((1, 2))
-    h = 1e-6
-    for b, g in rng.uniform((0.01, -math.pi), (math.pi - 0.01, math.pi), (2000, 2)):
-        up, up_g, up_b, back, back_g, back_b = response(law, b, g)
-        assert lowest[0] - 0.01 < up < highest[0] + 0.01
-        assert abs(back) < highest[1] + 0.01
-        assert back * math.cos(g) + up * math.sin(g) > -1e-12  # sand takes energy
-        mirrored = response(law, math.pi - b, math.pi - g)
-        assert (mirrored[0], mirrored[3]) == pytest.approx((up, -back), abs=1e-12)
-        by_g = np.subtract(response(law, b, g + h), response(law, b, g - h)) / (2 * h)
-        by_b = np.subtract(response(law, b + h, g), response(law, b - h, g)) / (2 * h)
-        found = up_g, back_g, up_b, back_b
-        assert found == pytest.approx((by_g[0], by_g[3], by_b[0], by_b[3]), abs=1e-6)
-
-
-def test_slopes_of_measured_stresses():
-    """Of level elements too, which take the plane of their motion."""
-    law = MeasuredRft2dLaw.from_medium("poppy_seed_loose")
-    values = record(law)
-
-    @njit(error_model="numpy")
-    def call(law, rise, down, lead):
-        _, f, r, d, s = law_slope(law, 9.81, rise, down, lead)
-        return f.x, f.y, f.z, r.x, r.y, r.z, d.x, d.y, d.z, s.x, s.y, s.z
-
-    law_slope, seen = law.slope, 0
-    for n, v in [*units(300), *((z * UP, v) for z in (1.0, -1.0) for _, v in units(50))]:
-        cosines = np.array([v[2], n[2], n @ v])
-        found = np.array(call(values, *cosines)).reshape(4, 3)
-        for row in (1,) if abs(n[2]) == 1 else (1, 2, 3):
-            coarse, fine = (
-                np.subtract(call(values, *cosines + h), call(values, *cosines - h))[:3]
-                / (2 * h.sum())
-                for h in (step * np.eye(3)[row - 1] for step in (2e-6, 1e-6))
-            )
-            size = abs(found[row]).max()
-            if abs(fine - coarse).max() <= 1e-5 * size:  # next to no edge
-                assert found[row] == pytest.approx(fine, abs=1e-5 * size)
-                seen += 1
-    assert seen > 900
 
 
 def test_poppy_seed_is_softer_when_loose():
