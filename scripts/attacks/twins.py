@@ -81,7 +81,8 @@ def motion(spec: mujoco.MjSpec, given: dict[str, Any], ask: Question, seed: int)
     given = {**given, **ask.sand}
     sands = [Sand(model, **given)]
     if ask.halves:
-        law = replace(sands[0].law, scale=0.5 * sands[0].law.scale)
+        law: Any = sands[0].law
+        law = replace(law, scale=0.5 * law.scale)
         sands = [Sand(model, **(given | {"law": law}), shared=True) for _ in range(2)]
     for _ in range(STEPS * ask.refine):
         mujoco.mj_step1(model, data)
