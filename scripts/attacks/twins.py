@@ -200,7 +200,9 @@ def questions(given: dict[str, Any], rng: np.random.Generator) -> Iterator[Quest
     flat, grid = isinstance(plane, Plane), "memory" in given
     yield Question("order of geoms", reorder)
     yield Question("two bodies welded", weld)
-    if given["law"] in ("rft2d", "rft3d") and not grid:  # the others are not linear in their scale
+    if (
+        given.get("law") in ("rft2d", "rft3d") and not grid
+    ):  # the others are not linear in their scale
         yield Question("two sands", halves=True)
     shift = 0.4 * rng.integers(-3, 4, 3)  # an integer number of cells
     there = {}

@@ -501,7 +501,7 @@ def test_heights_may_change_while_it_runs(law):
     assert expected.any()
     assert wrench(sand, *state) == pytest.approx(expected, rel=1e-5)
     model.hfield_size[0, 2] = 0.4
-    with pytest.raises(InputError, match="hfield_size was changed after Sand was made"):
+    with pytest.raises(InputError, match="hfield_size of the model was changed"):
         sand.check()
 
 
