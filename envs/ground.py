@@ -100,7 +100,7 @@ def place(
     if not any(geom.contype or geom.conaffinity for geom in parts):
         for geom in parts:  # contacts with others, but not with each other
             geom.conaffinity = 1
-    if rigid is not None:
+    if rigid not in (None, -math.inf):
         if not floors or cut or any(sand.surface for sand in sands):
             raise InputError(
                 "rigid needs a floor in the model, level sand, and a robot that stands on it: "

@@ -86,8 +86,8 @@ class Task(SandSpec, ABC):
         curriculum: returns the ranges for the next episode, given the number of episodes that this
             simulation has begun; must be within `randomise`.
         rigid: the x up to which the ground is a rigid floor [m]. Robots start at x = 0, so that 0.5
-            makes one walk from the floor onto sand, and inf leaves no sand to walk on. None for
-            sand alone.
+            makes one walk from the floor onto sand, and inf leaves no sand to walk on. None or
+            -inf for sand alone.
         observe_sand: append the sampled sand to the observation: strength, density, slope, and a
             one-hot vector if there are several sands.
         frame_skip: substeps in a step.

@@ -302,7 +302,7 @@ def test_a_history_has_what_was_sensed_before():
 
 def test_part_of_the_ground_can_be_rigid():
     weight = Go1Velocity(**STILL).model.body_mass.sum() * 9.81
-    for rigid, share in ((math.inf, 0.0), (-1.0, 1.0)):
+    for rigid, share in ((math.inf, 0.0), (-1.0, 1.0), (-math.inf, 1.0)):
         env = SandEnv(Go1Velocity(**STILL, **STAND, rigid=rigid))
         env.reset(seed=0)
         info = {}
