@@ -155,7 +155,7 @@ def ranges_of(ranges: Any, curriculum: Any, memory: Any) -> SandRanges | None:
             "surfaces that it may draw"
         )
     if ranges is not None and as_memory(memory) is not None:
-        if ranges != SandRanges():
+        if curriculum is not None or ranges != SandRanges():
             raise InputError("sand with memory cannot be drawn at random: use randomise={}")
         return None
     return ranges

@@ -111,6 +111,8 @@ class SandVecEnv(VecEnv):
     ) -> list[Any]:
         """Call a method of the batch, and return its result once for each simulation."""
         self._check_all(method_name, indices)
+        if method_name == "reset":
+            raise InputError("a batch is reset as a whole: use reset()")
         result = getattr(self.batch, method_name)(*args, **kwargs)
         return [result] * self.num_envs
 

@@ -38,7 +38,9 @@ def main() -> None:
         env.close()
         bounds = {}
         for name, _, ends in (text.partition("=") for text in options.ranges):
-            low, _, high = ends.partition(":")
+            low, colon, high = ends.partition(":")
+            if not colon:
+                raise InputError(f"a range is NAME=LOW:HIGH, got {name}={ends}")
             bounds[name] = float(low), float(high)
         levels = max(2, math.ceil(round(options.count ** (1 / len(bounds)), 9)))
         axes = [np.linspace(low, high, levels).tolist() for low, high in bounds.values()]

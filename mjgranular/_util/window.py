@@ -21,6 +21,5 @@ def opens_window(*, monitor: bool = False) -> bool:
         glfw.window_hint(glfw.VISIBLE, glfw.FALSE)
         window = glfw.create_window(64, 64, "mjgranular", None, None)
         if window:
-            glfw.destroy_window(window)
-        glfw.terminate()
+            glfw.destroy_window(window)  # others may be open: glfw is not terminated
         return bool(window)

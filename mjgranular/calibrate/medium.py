@@ -99,7 +99,7 @@ def _numbers_of(kind: type[Law]) -> list[str]:
 
 def _table(kind: type[Law]) -> str:
     """Return the law name of a medium's constants: the law's own, or that of one with the same."""
-    return LinkLaw.name if issubclass(kind, DistributedLinkLaw) else kind.name
+    return LinkLaw.name if issubclass(kind, (LinkLaw, DistributedLinkLaw)) else kind.name
 
 
 def _constants_of(kind: type[Law], medium: Medium) -> dict[str, Quantity]:

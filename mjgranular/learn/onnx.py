@@ -68,6 +68,8 @@ def export_safetensors(policy: Policy, file: str | Path) -> Path:
     """
     tensors = require("safetensors.numpy", extra="onnx", purpose="Exporting a policy")
     file = _check(policy, file)
+    if file.suffix == ".json":
+        raise InputError(f"{file} is the name of the JSON file: use .safetensors")
     described = _check(policy, file.with_suffix(".json"))
     operations = _operations_of(policy)
     numbers = {
@@ -76,10 +78,10 @@ def export_safetensors(policy: Policy, file: str | Path) -> Path:
         for k, value in enumerate(values)
     }
     content = policy.run.config() | {"operations": [name for name, _ in operations]}
-    with atomic_write(described) as part:
-        part.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
     with atomic_write(file) as part:
         part.write_bytes(tensors.save(numbers))
+    with atomic_write(described) as part:
+        part.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
     return file
 
 

@@ -278,7 +278,7 @@ def write_video(
                 if progress is not None:
                     progress(done, count)
     except RuntimeError as error:
-        if isinstance(error, GranularError):
+        if isinstance(error, GranularError) or "Error writing" not in str(error):
             raise
         reason = str(error).strip().rpartition("] ")[2]  # the last that ffmpeg wrote
         raise OutputError(f"the film cannot be written: {reason}") from error

@@ -153,7 +153,10 @@ class Heights:
 
 def checked_state(saved: Any, size: int) -> np.ndarray:
     """Check a stored state of a surface that a user passes back."""
-    state = np.asarray(saved)
+    try:
+        state = np.asarray(saved)
+    except ValueError:  # rows of several lengths
+        state = np.zeros(0)
     if state.shape != (size,) or state.dtype.kind not in "iuf" or not np.isfinite(state).all():
         raise InputError(
             f"what this sand remembers is {size} finite numbers, as `save_memory` gives them, not "

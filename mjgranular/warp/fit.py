@@ -75,7 +75,7 @@ def check_no_plugins(model: mujoco.MjModel) -> None:
             )
 
 
-def check_model(model: mujoco.MjModel, slots: np.ndarray, chain: np.ndarray, m: Any) -> None:
+def check_model(model: mujoco.MjModel, chain: np.ndarray, m: Any) -> None:
     """Check that a MuJoCo Warp model belongs to this sand and can hold it."""
     for name in ("nv", "nbody", "njnt", "ngeom"):
         mine, given = getattr(model, name), getattr(m, name)

@@ -152,11 +152,11 @@ class WarpSand:
             raise InputError(
                 "this sand is attached already; make another WarpSand for another model or data"
             )
-        check_model(self._model, self._slots, self._chain, m)
+        check_model(self._model, self._chain, m)
         model, device = self._model, d.qvel.device
         self._cold = int(m.opt.disableflags) & int(mujoco.mjtDisableBit.mjDSBL_WARMSTART)
         n, count = d.nworld, len(self._slots)
-        self._attached_to, self._device, self._size = m, device, (n, count)
+        self._device, self._size = device, (n, count)
 
         law_struct = struct_of_dtype(type(self.law).__name__, self._scene["law"].dtype)
         self._law_struct = law_struct
@@ -194,6 +194,7 @@ class WarpSand:
         self._control_before, self._sensor_before = m.callback.control, m.callback.sensor
         m.callback.control, m.callback.sensor = self._on_control, self._on_sensor
         m.has_fluid = True  # else MuJoCo Warp ignores the damping
+        self._attached_to = m
 
     def set_media(self, media: Sequence[str | Medium]) -> None:
         """Give each world its own medium, with this sand's kind of law.
