@@ -13,7 +13,7 @@ import pytest
 from mjgranular import Memory
 from mjgranular.cli import main
 from mjgranular.engine import relief_of
-from mjgranular.envs import SandEnv, SandVectorEnv, on_sand
+from mjgranular.envs import SandEnv, SandRanges, SandVectorEnv, on_sand
 from mjgranular.envs.ids import id_of
 from mjgranular.errors import InputError
 from mjgranular.learn.evaluate import parse_variant
@@ -137,6 +137,8 @@ def test_sand_with_memory_is_not_drawn_and_empty_ranges_say_so() -> None:
     env = SandEnv("Hexapod", memory=MEMORY, randomise={})  # as `render --on` of a shipped policy
     env.reset(seed=0)
     env.close()
+    with pytest.raises(InputError, match="cannot be drawn"):  # nor does a curriculum
+        SandEnv("Hexapod", memory=MEMORY, randomise={}, curriculum=lambda _: SandRanges())
     for name in ("Hexapod", "Ant-v5"):
         with pytest.raises(InputError, match=r"use randomise=\{\}"):
             (SandEnv if name == "Hexapod" else on_sand)(

@@ -423,6 +423,7 @@ def test_memory_is_saved_and_restored_and_bad_numbers_change_nothing() -> None:
         np.full(len(saved), math.inf),
         saved[:-1],
         "heights",
+        [[1.0, 2.0], [3.0]],
     ):
         before = sand.save_memory(other)
         with pytest.raises(InputError, match="finite numbers, as `save_memory` gives them, not"):

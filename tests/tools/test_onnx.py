@@ -105,6 +105,8 @@ def test_nothing_is_overwritten(tmp_path):
     described.write_text("mine")
     with pytest.raises(OutputError, match="exists"):
         export_safetensors(load_policy("Hopper-v0/ppo-0"), tmp_path / "other.safetensors")
+    with pytest.raises(InputError, match=r"use \.safetensors"):
+        export_safetensors(load_policy("Hopper-v0/ppo-0"), tmp_path / "third.json")
     assert file.read_text() == described.read_text() == "mine"
     assert len(list(tmp_path.iterdir())) == 2
 
