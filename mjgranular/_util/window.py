@@ -20,6 +20,7 @@ def opens_window(*, monitor: bool = False) -> bool:
             return False
         glfw.window_hint(glfw.VISIBLE, glfw.FALSE)
         window = glfw.create_window(64, 64, "mjgranular", None, None)
+        glfw.default_window_hints()  # else the next window is not visible either
         if window:
             glfw.destroy_window(window)  # others may be open: glfw is not terminated
         return bool(window)
