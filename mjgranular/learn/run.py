@@ -219,7 +219,7 @@ def curve_text(rows: Sequence[Sequence[float]]) -> str:
 
 
 def mean_returns(curve: Sequence[tuple[float, ...]], episodes: int) -> list[tuple[float, float]]:
-    """Return steps and mean returns of a learning curve, each over at least so many episodes.
+    """Return steps and mean returns of a learning curve, each over at least `episodes` episodes.
 
     At a checkpoint all episodes start over, so that those that end soon after it have failed: a row
     of few episodes says little. What remains at the end is left out, unless it is all there is.

@@ -225,7 +225,7 @@ def read_outline(text: str, yaml: Any) -> Any:
         node = yaml.compose(text, Loader=yaml.BaseLoader)
     except RecursionError:
         raise OutlineError(f"nested deeper than {_DEEPEST} levels") from None
-    except yaml.YAMLError as error:
+    except (yaml.YAMLError, ValueError, OverflowError) as error:  # the last two of \U escapes
         reason = getattr(error, "problem", None) or getattr(error, "reason", None) or "unreadable"
         mark = getattr(error, "problem_mark", None)
         where = "" if mark is None else f"line {mark.line + 1}: "

@@ -71,6 +71,7 @@ def laughs(open_: str, close: str) -> str:
         (EXAMPLE.replace("my_sand", '"\\e[31m"'), "must have printable characters only"),
         (EXAMPLE.replace("my_sand", "!!python/name:os.system"), "has no meaning here"),
         (EXAMPLE + "name: again\n", "line 11: the key 'name' stands twice"),
+        ('title: "\\UFFFFFFFF"\n', "unreadable"),
         (EXAMPLE + "[x]: y\n", "a key must be a string, got ['x']"),
         (EXAMPLE + "---\n" + EXAMPLE, "but found another document"),
         (EXAMPLE + "#" * LARGEST, "it is larger than 100 kB"),
