@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from mjgranular.envs.cameras import RENDER_MODES, Cameras
-from mjgranular.envs.task import Task, check_actions, get_task
+from mjgranular.envs.task import State, Task, check_actions, get_task
 
 
 class SandEnv(gym.Env[np.ndarray, np.ndarray]):
@@ -62,6 +62,11 @@ class SandEnv(gym.Env[np.ndarray, np.ndarray]):
     def dt(self) -> float:
         """Duration of a step [s]."""
         return self.task.dt
+
+    @property
+    def state(self) -> State:
+        """The state that methods of the task take, views of `data`."""
+        return self._state
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

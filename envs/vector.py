@@ -13,7 +13,7 @@ from mujoco.batch import Batch
 from mjgranular._util.checks import check_count, kind_of
 from mjgranular.envs.cameras import RENDER_MODES, Cameras
 from mjgranular.envs.ranges import SandRanges, options_of_reset
-from mjgranular.envs.task import Task, check_actions, get_task
+from mjgranular.envs.task import State, Task, check_actions, get_task
 from mjgranular.errors import InputError, UnknownNameError
 
 
@@ -98,6 +98,11 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     def __reduce__(self) -> tuple[Any, ...]:
         return partial(type(self), **self._settings), (self.task, self.num_envs)
+
+    @property
+    def state(self) -> State:
+        """The state that methods of the task take."""
+        return self._state
 
     @property
     def np_random(self) -> Any:  # pyright: ignore[reportIncompatibleMethodOverride]

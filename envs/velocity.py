@@ -14,7 +14,7 @@ from mjgranular._util.checks import check_count
 from mjgranular.envs.ground import converted_errors
 from mjgranular.envs.ranges import Sample
 from mjgranular.envs.task import Start, State, Task
-from mjgranular.errors import InputError
+from mjgranular.errors import InputError, shown
 from mjgranular.models import robot_path
 from mjgranular.shape.select import Choice
 from mjgranular.shape.sizes import geom_axes
@@ -439,6 +439,24 @@ class Go1Velocity(Task):
     def command(self, state: State) -> np.ndarray:
         """Return commands: velocity ahead, to the left [m/s], yaw rate [rad/s]; shape (n, 3)."""
         return self.once(state, "command", self._command)
+
+    def set_command(self, state: State, command: Any) -> None:
+        """Replace the commands of episodes that have begun, as drawn for them, by one.
+
+        Args:
+            state: `env.unwrapped.state`.
+            command: velocity ahead, to the left [m/s], and yaw rate [rad/s], shape (3,) or (n, 3).
+
+        Raises:
+            InputError: another shape, or a number that is not finite.
+        """
+        new = np.asarray(command, float)
+        if new.shape not in ((3,), (len(state.userdata), 3)) or not np.isfinite(new).all():
+            raise InputError(f"a command must be three finite numbers, not {shown(command)}")
+        table = np.zeros((len(state.userdata), _COMMANDS, 4))  # the first steps are 0
+        table[:, :, 1:] = new.reshape(-1, 1, 3)
+        state.userdata[:, _COMMAND] = table.reshape(len(table), -1)
+        state.found.clear()
 
     def _command(self, state: State) -> np.ndarray:
         table = state.userdata[:, _COMMAND].reshape(-1, _COMMANDS, 4)

@@ -1,9 +1,11 @@
-"""`mjgranular view`: your own model on sand in a window."""
+"""`mjgranular view`: your own model on sand, or a policy, in a window or a browser."""
 
 import math
 import warnings
-from contextlib import closing
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import dataclass, fields
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -11,30 +13,44 @@ import mujoco
 import tyro
 
 from mjgranular.cli.console import err
-from mjgranular.cli.options import options_of
+from mjgranular.cli.evaluate import find_actor, warn_of_sand
+from mjgranular.cli.options import Flag, options_of
 from mjgranular.engine import NAME, add_sand
 from mjgranular.errors import FloorWarning, InputError
 from mjgranular.experiment.drop import Drop, loading, make_ready, read, start_from
 from mjgranular.experiment.ground import hide_replaced, refuse_floors
+from mjgranular.learn import environments
+from mjgranular.learn.evaluate import FIRST_SEED, parse_variant
+from mjgranular.learn.live import Live
+from mjgranular.learn.sands import sands_made
 from mjgranular.picture.viewer import Switch, check_display, follow, opened
 from mjgranular.picture.web import Page, check_address
 from mjgranular.render.scenery import place_sun
 from mjgranular.sand.prepare import fitted
 
 _NOT_OPTIONS = ("model", "height", "velocity", "duration")
+_OF_POLICIES = ("on", "seed", "trust")
+_OF_ALL = ("model", "speed", "duration", "web", "port", "host")
 
 
 @dataclass(frozen=True, kw_only=True)
 class ViewCommand(options_of(Drop, without=_NOT_OPTIONS)):
-    """Your own MJCF model on sand in MuJoCo's viewer, in real time.
+    """Your own MJCF model on sand in MuJoCo's viewer, or a trained policy, in real time.
 
     Space pauses and resumes, Backspace restarts, a double click and Ctrl with the mouse pull at a
     body. The sand acts inside mj_step, by the plugin mjgranular.sand. A model that contains sand is
-    shown with that.
+    shown with that. A policy is the folder of a run, or a name from `mjgranular list policies`;
+    one that follows commands is driven with the arrow keys, dot, slash and Enter.
     """
 
-    model: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL.xml")]
-    """The MJCF file."""
+    model: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL.xml|POLICY")]
+    """The MJCF file, or the policy."""
+    on: Annotated[str, tyro.conf.arg(metavar="NAME=VALUE,...")] = ""
+    """Of a policy: a variant of its environment, for example medium=glass_beads."""
+    seed: Annotated[int, tyro.conf.arg(metavar="N")] = FIRST_SEED
+    """Of a policy: the seed of the first episode."""
+    trust: Flag = False
+    """Import and so execute the module of an environment that only the run's file names."""
     draw: Annotated[
         tuple[Literal["forces", "depth"], ...], tyro.conf.arg(metavar="{forces,depth} ...")
     ] = ("forces",)
@@ -54,26 +70,67 @@ class ViewCommand(options_of(Drop, without=_NOT_OPTIONS)):
         for name, value in (("speed", self.speed), ("duration", self.duration)):
             if value is not None and not (math.isfinite(value) and value > 0):
                 raise InputError(f"the {name} must be positive and finite, got {value}")
+        self._check_options()
         if self.web:
             check_address(self.host, self.port)
         elif (self.host, self.port) != (ViewCommand.host, ViewCommand.port):
             raise InputError("--host and --port are for a page: use --web")
         else:
             check_display()
-        model = self.load()
-        data, switch = mujoco.MjData(model), Switch(speed=self.speed)
-        start_from(model, data, self.keyframe)
+        with ExitStack() as closed:
+            live = closed.enter_context(self._live()) if self._is_policy() else None
+            self._show(live)
+        return 0
+
+    def _show(self, live: Live | None) -> None:
+        switch, camera, step = Switch(speed=self.speed), {}, None
+        restart: Callable[[], None]
+        if live is None:
+            model = self.load()
+            data = mujoco.MjData(model)
+            restart = partial(start_from, model, data, self.keyframe)
+            restart()
+        else:
+            model, data, step, restart = live.model, live.data, live.step, live.restart
+            switch.command, camera = live.command, live.camera
         if self.web:
             page = Page(model, data, switch, self.host, self.port)
             note = f"Open {page.address} in a browser. Ctrl-C ends it."
             shown: Any = closing(page)
         else:
             note = "Space: pause. Backspace: restart. Ctrl and mouse: pull a body."
-            shown = opened(model, data, switch)
+            if switch.command is not None:
+                note += " Up, down: speed. Left, right: turn. Dot, slash: sideways. Enter: stand."
+            shown = opened(model, data, switch, camera)
         with shown as viewer:
             err.print(note, style="dim")
-            follow(viewer, model, data, switch, duration=self.duration)
-        return 0
+            how = {"duration": self.duration, "step": step, "restart": restart}
+            follow(viewer, model, data, switch, **how)
+
+    def _is_policy(self) -> bool:
+        return self.model.is_dir() or not (self.model.is_file() or self.model.suffix)
+
+    def _check_options(self) -> None:
+        """Check that no option is given that has no effect."""
+        for each in fields(self):
+            if each.name in _OF_ALL or getattr(self, each.name) == each.default:
+                continue
+            option = f"--{each.name.replace('_', '-')}"
+            if self._is_policy() and each.name not in _OF_POLICIES:
+                raise InputError(f"{option} is for models: use --on for the sand of a policy")
+            if each.name in _OF_POLICIES and not self._is_policy():
+                raise InputError(f"{option} is for policies, and {self.model} is a model")
+
+    @contextmanager
+    def _live(self) -> Iterator[Live]:
+        """Make the environment of a policy, with the policy in it."""
+        actor = find_actor(self.model.as_posix(), trust=self.trust)
+        arguments = {**actor.arguments, **parse_variant(self.on)}
+        if not self.on:
+            warn_of_sand(actor, sands_made(actor.environment, arguments))
+        arguments["max_episode_steps"] = -1  # no limit
+        with closing(environments.one(actor.environment, arguments)) as env:
+            yield Live(env, actor.make(env), self.seed)
 
     def load(self) -> mujoco.MjModel:
         """Return the model with sand in it, in daylight."""

@@ -4,6 +4,7 @@ import copy
 import ctypes
 import socket
 import time
+import warnings
 from contextlib import nullcontext
 from functools import partial
 from typing import Any
@@ -15,7 +16,7 @@ import rich
 from mjgranular._util.extras import require
 from mjgranular.errors import InputError
 from mjgranular.kernel.structs import offset_of, record_of
-from mjgranular.picture.viewer import Switch
+from mjgranular.picture.viewer import Command, Switch
 from mjgranular.render.material import COLOR, MATERIAL, NOT_SHOWN, radius_of, texture_of
 
 _WAIT, _SHARE = 0.1, 0.1  # of meshes of sand: time between two [s], share of all time; chosen
@@ -70,7 +71,9 @@ class Page:
         shown.geom_matid[beds], shown.geom_rgba[beds] = -1, np.power(COLOR, _GAMMA)
         rich.get_console().quiet = True  # viser prints to it
         self._server = server = _import("viser").ViserServer(host=host, port=port, verbose=False)
-        self._robot = _import("mjviser").ViserMujocoScene(server, shown, num_envs=1)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of sand: the user has seen them
+            self._robot = _import("mjviser").ViserMujocoScene(server, shown, num_envs=1)
         self._world = world = self._robot.fixed_bodies_frame.name  # moves for the camera to follow
         server.scene.configure_environment_map(environment_intensity=0.25)
         server.scene.configure_default_lights(False)
@@ -87,6 +90,14 @@ class Page:
         self._pause = server.gui.add_checkbox("Pause", switch.held)
         self._speed = server.gui.add_number("Speed", switch.speed, min=1e-3, step=1e-3)
         self._restart = server.gui.add_button("Restart")
+        self._command = (
+            [
+                server.gui.add_slider(part, low, high, 0.05, min(max(0.0, low), high))
+                for part, (low, high) in zip(Command.PARTS, switch.command.limits, strict=True)
+            ]
+            if switch.command
+            else []
+        )
         self._robot.create_scene_gui(camera_distance=3 * radius_of(model))
 
     @property
@@ -108,6 +119,8 @@ class Page:
         """Read the controls, and send what has changed."""
         model, data, now = self._model, self._data, time.perf_counter()
         self._switch.held, self._switch.speed = self._pause.value, max(self._speed.value, 1e-3)
+        if self._switch.command is not None:
+            self._switch.command.values[:] = [slider.value for slider in self._command]
         if self._restart.value:
             self._restart.value = False
             mujoco.mj_setState(model, data, self._start, _STATE)

@@ -285,6 +285,24 @@ def test_the_clock_runs_unless_the_command_is_to_stand():
         assert sizes[24:] == pytest.approx(np.full(26, float(moves)))
 
 
+def test_a_command_of_ones_own():
+    for env in (SandEnv(Go1Velocity(history=1)), SandVectorEnv("Go1Velocity", 2, history=1)):
+        env.reset(seed=0)
+        task, n = env.task, len(env.state.qpos)
+        action = np.zeros(env.action_space.shape, np.float32)
+        for command in ((0.5, 0.0, -0.25), np.linspace(0.0, 0.4, 3 * n).reshape(n, 3)):
+            task.set_command(env.state, command)
+            for _ in range(3):
+                info = env.step(action)[-1]
+                known = np.reshape(info["command"], (n, 3))
+                assert np.array_equal(known, np.broadcast_to(command, (n, 3)))
+        for wrong in ((0.5, 0.0), (0.5, math.nan, 0.0), np.zeros((n + 1, 3))):
+            with pytest.raises(InputError, match="three finite numbers"):
+                task.set_command(env.state, wrong)
+        drawn = env.reset(seed=0)[1]["command"]
+        assert not np.any(drawn)  # the next episode has its own
+
+
 def test_a_history_has_what_was_sensed_before():
     env = SandEnv(Go1Velocity(**STILL, history=2))
     seen = [env.reset(seed=0)[0]]

@@ -201,6 +201,63 @@ def test_it_ends_by_itself(clock: Clock) -> None:
     assert window.shown == pytest.approx(0.5 / FRAME, abs=1)
 
 
+def test_a_policy_goes_on_after_a_restart(clock: Clock) -> None:
+    with ViewCommand(model=Path("Hexapod-v0/ppo-0"), on="randomise={}")._live() as live:
+        model, data, places = live.model, live.data, []
+
+        def note() -> None:
+            places.append((data.time, data.qpos[0]))
+
+        deeds = {59: note, 60: lambda: mujoco.mj_resetData(model, data), 61: note, 120: note}
+        how = {"step": live.step, "restart": live.restart}
+        follow(Window(clock, 121, deeds), model, data, Switch(command=live.command), **how)
+    assert live.command is None  # it follows none
+    (first, x), (begun, start), (second, end) = places
+    assert first == pytest.approx(second, abs=0.05)
+    assert begun <= 2 * FRAME + live._env.unwrapped.dt
+    assert min(x, end) > start + 0.1  # it walks
+
+
+def test_a_robot_is_driven_by_keys(clock: Clock) -> None:
+    with ViewCommand(model=Path("Go1Velocity-v0/ppo-0"), on="randomise={}")._live() as live:
+        command = live.command
+        assert command is not None
+        switch = Switch(command=command)
+        for _ in range(20):
+            switch.press(265)  # up
+        assert command.values == [0.8, 0.0, 0.0]  # not beyond what the task has
+        for key in (264, 263, 46, 47, 47, ord("x")):  # down, left, dot, slash
+            switch.press(key)
+        assert command.values == pytest.approx([0.7, -0.1, 0.2])
+        window = Window(clock, 60, {30: lambda: switch.press(257)})  # enter
+        seen = []
+        window.deeds[29] = lambda: seen.append(live._env.unwrapped.data.qvel[:2].copy())
+        follow(window, live.model, live.data, switch, step=live.step, restart=live.restart)
+        assert np.linalg.norm(seen) > 0.3
+        assert command.values == [0.0, 0.0, 0.0]
+        assert np.linalg.norm(live.data.qvel[:2]) < 0.3
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["Hexapod-v0/ppo-0", "--medium", "glass_beads"], "--medium is for models: use --on"),
+        (["block.xml", "--on", "strength=2"], "--on is for policies"),
+        (["Hexapod-v0/ppo-00"], "did you mean Hexapod-v0/ppo-0"),
+        (["Hexapod-v0/ppo-0", "--on", "medum=1"], "no option 'medum'"),
+    ],
+)
+def test_mistakes_with_policies(
+    arguments: list[str],
+    said: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr("mjgranular.cli.view.check_display", lambda: None)
+    assert main(["view", *arguments]) == 2
+    assert said in capsys.readouterr().err
+
+
 @pytest.fixture(scope="module")
 def display() -> Iterator[str]:
     """A display to open windows on: the machine's, or a virtual one."""
@@ -232,10 +289,14 @@ def display() -> Iterator[str]:
     process.wait()
 
 
-def test_a_window_opens_on_a_display(block: Path, display: str) -> None:
+@pytest.mark.parametrize("what", ["block.xml", "Hexapod-v0/ppo-0"])
+def test_a_window_opens_on_a_display(what: str, block: Path, display: str) -> None:
     environment = {**os.environ, "DISPLAY": display}
     environment.pop("MUJOCO_GL", None)
-    arguments = ["view", str(block), "--duration", "1", "--draw", "forces", "depth"]
+    arguments = ["view", what, "--duration", "1"]
+    if what == block.name:
+        arguments = ["view", str(block), "--duration", "1", "--draw", "forces", "depth"]
+        arguments += ["--instead-of", "floor"]
     code = f"from mjgranular.cli import main; raise SystemExit(main({arguments!r}))"
     done = subprocess.run(
         [sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=120

@@ -29,7 +29,7 @@ from websockets.sync.client import connect
 from mjgranular import Bed, add_sand
 from mjgranular.cli import main
 from mjgranular.cli.view import ViewCommand
-from mjgranular.picture.viewer import Switch
+from mjgranular.picture.viewer import Command, Switch
 from mjgranular.picture.web import Page
 from mjgranular.render.material import COLOR
 
@@ -213,6 +213,19 @@ def test_controls(ball: Path, port: int) -> None:
         assert data.time > 0.0
     finally:
         page.close()
+
+
+def test_a_command_by_sliders(ball: Path, port: int) -> None:
+    model = ViewCommand(model=ball, instead_of=("floor",)).load()
+    command = Command(((-0.8, 0.8), (0.0, 0.0), (-1.0, 1.0)))
+    switch = Switch(held=True, command=command)
+    page = Page(model, mujoco.MjData(model), switch, "127.0.0.1", port)
+    try:
+        page._command[0].value, page._command[2].value = 0.5, -0.25
+        page.sync()
+    finally:
+        page.close()
+    assert command.values == [0.5, 0.0, -0.25]
 
 
 @pytest.mark.parametrize(

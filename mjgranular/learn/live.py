@@ -1,0 +1,51 @@
+"""An agent in real time, at commands of a user."""
+
+from typing import Any
+
+import numpy as np
+
+from mjgranular.errors import InputError
+from mjgranular.learn.agents import Agent
+from mjgranular.picture.viewer import Command
+
+
+class Live:
+    """An agent in an environment of the package, episode after episode, without a limit of time.
+
+    Args:
+        env: the environment, a `gymnasium.Env`.
+        agent: the agent.
+        seed: seed of the first episode.
+
+    Attributes:
+        model: the environment's model.
+        data: its simulation.
+        camera: settings of a camera, as in Gymnasium.
+        command: the velocity that the robot is to have; None if its task has no commands.
+    """
+
+    def __init__(self, env: Any, agent: Agent, seed: int) -> None:
+        self._env, self._agent = env, agent
+        self._task = task = getattr(env.unwrapped, "task", None)
+        if task is None:
+            raise InputError("only environments of mjgranular are shown so: use `render` for films")
+        self.model, self.data, self.camera = env.unwrapped.model, env.unwrapped.data, task.camera
+        self.command: Command | None = None
+        if hasattr(task, "set_command"):
+            self.command = Command((task.command_x, task.command_y, task.command_yaw))
+        self.restart(seed)
+
+    def restart(self, seed: int | None = None) -> None:
+        """Begin an episode."""
+        self._observation, _ = self._env.reset(seed=seed)
+        self._steps = 0
+
+    def step(self) -> None:
+        """Advance by a step of the environment."""
+        if self.command is not None:
+            self._task.set_command(self._env.unwrapped.state, self.command.values)
+        action = self._agent.act(self._observation[None], np.array([self._steps]))[0]
+        self._observation, _, terminated, truncated, _ = self._env.step(action)
+        self._steps += 1
+        if terminated or truncated:
+            self.restart()
