@@ -661,10 +661,6 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
         lambda: Study(Impact(), [("speed", [1.0])]),  # pyright: ignore[reportArgumentType]
         "must be a table, {'speed': [1, 2]} ... a list",
     ),
-    "half a sample": (
-        lambda: Study(Impact(), {"speed": [1.0]}, sample=2.5),  # pyright: ignore[reportArgumentType]
-        "sample must be an integer, not 2.5",
-    ),
     "drop for a study": (
         lambda: run_study(Impact()),  # pyright: ignore[reportArgumentType]
         "run_study takes a Study, not an Impact; use Study(experiment, {'speed'",
