@@ -14,19 +14,17 @@ from mjgranular._util.result_folder import CONFIG, SUMMARY, ResultFolder
 from mjgranular.errors import GranularError, OutputError
 from mjgranular.experiment.drop import Drop, DropResult
 from mjgranular.experiment.impact import Impact, ImpactResult
-from mjgranular.experiment.trajectory import Trajectory, write_numbers
+from mjgranular.experiment.trajectory import Trajectory
 from mjgranular.render import Tracks
 
-_CSV = "trajectory.csv"
 _NPZ = "trajectory.npz"
-RUN_FILES = (CONFIG, SUMMARY, _CSV, _NPZ)
+RUN_FILES = (CONFIG, SUMMARY, _NPZ)
 
 
 def write_impact(folder: ResultFolder, result: ImpactResult) -> None:
     """Write an impact: configuration, trajectory and summary, at once."""
     config = {**asdict(result.impact), "law": result.law}
     with folder.published("impact", config, result.summary(), unfinished=True):
-        folder.write(_CSV, result.trajectory.write_csv)
         folder.write(_NPZ, lambda path: result.trajectory.write_npz(path, result.prints))
 
 
@@ -39,17 +37,7 @@ def write_drop(folder: ResultFolder, result: DropResult) -> None:
     if result.prints is not None:
         arrays |= result.prints.arrays()
     with folder.published("drop", asdict(result.drop), result.summary(), unfinished=True):
-        folder.write(_CSV, lambda path: _write_drop_csv(path, result))
         folder.write(_NPZ, lambda path: np.savez_compressed(path, **arrays))
-
-
-def _write_drop_csv(path: Path, result: DropResult) -> None:
-    names = ("depth [m]", "F_x [N]", "F_y [N]", "F_z [N]", "power [W]")
-    header, columns = ["t [s]"], [result.t]
-    for k, body in enumerate(result.bodies):
-        header += [f"{body.body}: {name}" for name in names]
-        columns += [result.depth[:, k], *result.force[:, k].T, result.power[:, k]]
-    write_numbers(path, header, np.column_stack(columns))
 
 
 def saved_command(path: Path) -> str:
@@ -97,10 +85,10 @@ def prints_of(arrays: dict[str, np.ndarray]) -> Tracks | None:
     return Tracks.from_arrays(arrays) if Tracks.names()[0] in arrays else None
 
 
-def read_impact(path: Path) -> tuple[Impact, dict[str, Any], Trajectory]:
-    """Read a saved impact: options, summary, trajectory."""
+def read_impact(path: Path) -> tuple[Impact, dict[str, Any], Trajectory, Tracks | None]:
+    """Read a saved impact: options, summary, trajectory, and the tracks in sand with memory."""
 
-    def read() -> tuple[Impact, dict[str, Any], Trajectory]:
+    def read() -> tuple[Impact, dict[str, Any], Trajectory, Tracks | None]:
         config = read_json(files.latest_path(path, CONFIG))
         if config.get("command") != "impact":
             raise OutputError(
@@ -111,15 +99,9 @@ def read_impact(path: Path) -> tuple[Impact, dict[str, Any], Trajectory]:
         for name in ("touchdown_time", "stopping_time"):
             number(summary, name, path / SUMMARY)
         impact = Impact(**checked_fields(Impact, config.get("config"), path / CONFIG))
-        trajectory = Trajectory.read_npz(files.latest_path(path, _NPZ))
-        return impact, summary, trajectory
+        file = files.latest_path(path, _NPZ)
+        prints = prints_of(read_arrays(file, Tracks.names())) if Tracks.are_in(file) else None
+        return impact, summary, Trajectory.read_npz(file), prints
 
     with _saved(path, "impact"):
         return files.read_consistent(path, CONFIG, read)
-
-
-def read_prints(path: Path) -> Tracks | None:
-    """Read the tracks of a saved impact; None for sand without memory."""
-    file = files.latest_path(path, _NPZ)
-    with _saved(path, "impact"):
-        return prints_of(read_arrays(file, Tracks.names())) if Tracks.are_in(file) else None

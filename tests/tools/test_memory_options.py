@@ -42,14 +42,14 @@ def test_what_has_no_meaning_is_told(block: str, memory: str, told: str, capsys:
 def test_an_impact_with_memory(tmp_path: Path) -> None:
     """The print of a run until rest is as deep as the link lies, and its film shows it."""
     pytest.importorskip("matplotlib")
-    from mjgranular.experiment.folder import read_impact, read_prints
+    from mjgranular.experiment.folder import read_impact
     from mjgranular.picture.video import Film, frames_of_run
 
     words = (
         "impact --memory 0.005 --law link_distributed --until rest --duration 0.2 --timestep 5e-5"
     )
     assert main([*words.split(), "--speed", "2", "--out", str(tmp_path / "run")]) == 0
-    (impact, _, run), prints = read_impact(tmp_path / "run"), read_prints(tmp_path / "run")
+    impact, _, run, prints = read_impact(tmp_path / "run")
     assert impact.memory == "0.005"
     assert prints is not None
     middle = prints.node[:, 1] == 0
