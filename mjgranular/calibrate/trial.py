@@ -433,10 +433,6 @@ class DropTrial(Trial):
             stopping_time=relative(measured.time, predicted.time),
             trajectory=rms(off[0]) / self.series[0].scale,
             pitch=rms(off[1]) if len(off) > 1 else None,
-            measured_depth=measured.depth,
-            predicted_depth=predicted.depth,
-            measured_stopping_time=measured.time,
-            predicted_stopping_time=predicted.time,
         )
 
 
@@ -498,7 +494,7 @@ class Problem:
         trials: Sequence[Trial],
         material: Material,
         free: Sequence[str],
-        progress: Callable[[int, str], None] | None = None,
+        progress: Callable[[int], None] | None = None,
     ) -> None:
         self.trials, self.material, self.free = tuple(trials), material, tuple(free)
         self.shifted = [k for k, trial in enumerate(trials) if trial.shift is not None]
@@ -542,7 +538,7 @@ class Problem:
                     found.append(None)
                 self.evaluations += 1
                 if self._progress is not None:
-                    self._progress(self.evaluations, "fitting")
+                    self._progress(self.evaluations)
             if len(self._outcomes) >= _KEPT:
                 self._outcomes.pop(next(iter(self._outcomes)))
             self._outcomes[key] = found

@@ -1,8 +1,7 @@
 """`mjgranular fit`: a medium from measurements."""
 
 import json
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -103,17 +102,10 @@ class FitCommand:
 
 
 def _run(fit: Fit) -> FitResult:
-    """Run a fit; show a progress bar as soon as the data are read and checked."""
+    """Run a fit with a progress bar."""
     guess = len(fit.runs) * (1 + 2 * len(fit.free)) * _ROUNDS
-    with ExitStack() as stack:
-        bars: list[Callable[..., None]] = []
-
-        def progress(done: int, what: str) -> None:
-            if not bars:
-                bars.append(stack.enter_context(progress_bar(what, guess)))
-            bars[0](min(done, 0.95 * guess), what)
-
-        return run_fit(fit, progress=progress)
+    with progress_bar("fitting", guess) as show:
+        return run_fit(fit, progress=lambda done: show(min(done, 0.95 * guess)))
 
 
 def sentences(result: FitResult) -> Iterator[str]:
@@ -147,9 +139,8 @@ def _constants(result: FitResult) -> Table:
     for name, value in result.values.items():
         low, high = ("..." if end is None else f"{end:.4g}" for end in result.intervals[name])
         determined = "yes" if result.identifiable[name] else "no"
-        unit = "" if name == "strength" else result.material.unit(name)
-        rows.append((name, f"{value:.4g}", f"{low} to {high}", unit, determined))
-    headings = ("constant", "value", "95 % interval", "unit", "determined")
+        rows.append((name, f"{value:.4g}", f"{low} to {high}", determined))
+    headings = ("constant", "value", "95 % interval", "determined")
     return table(f"Constants of {result.material.law.name}", headings, rows, right=(1, 2))
 
 

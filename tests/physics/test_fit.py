@@ -88,12 +88,9 @@ def test_constants_come_back(two_speeds):
 
 def test_a_run_that_was_held_out_is_predicted(two_speeds):
     errors = two_speeds.held_out["2.0 m/s"]
-    _, depth, stop = fall(2.0)
     assert errors.depth == pytest.approx(0.0, abs=0.002)
     assert errors.stopping_time == pytest.approx(0.0, abs=0.02)
     assert errors.trajectory < 0.002
-    assert errors.measured_depth == pytest.approx(depth.max(), rel=1e-6)
-    assert errors.measured_stopping_time == pytest.approx(stop, rel=0.03)
 
 
 def test_drops_of_one_speed_leave_a_null_direction():
