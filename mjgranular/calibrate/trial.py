@@ -480,7 +480,6 @@ class ModelTrial(DropTrial):
 
 _FAR = 10.0  # residual of a run that diverged: ten times what was measured
 _FINE = 1e-3  # relative step of a difference; chosen: the error of central ones is its square
-_KEPT = 64  # outcomes that are kept
 
 
 class Problem:
@@ -539,8 +538,6 @@ class Problem:
                 self.evaluations += 1
                 if self._progress is not None:
                     self._progress(self.evaluations)
-            if len(self._outcomes) >= _KEPT:
-                self._outcomes.pop(next(iter(self._outcomes)))
             self._outcomes[key] = found
         return self._outcomes[key]
 

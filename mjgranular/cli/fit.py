@@ -141,7 +141,7 @@ def _constants(result: FitResult) -> Table:
         determined = "yes" if result.identifiable[name] else "no"
         rows.append((name, f"{value:.4g}", f"{low} to {high}", determined))
     headings = ("constant", "value", "95 % interval", "determined")
-    return table(f"Constants of {result.material.law.name}", headings, rows, right=(1, 2))
+    return table(f"Constants of {result.material.law.name}", headings, rows)
 
 
 def _errors(title: str, errors: Mapping[str, Errors]) -> Table:

@@ -33,7 +33,9 @@ class ImpactCommand(FilmOptions, options_of(Impact)):
         if self.body == "sphere" and self.length != Impact.length:
             raise InputError("a sphere has no --length: its size is its --diameter")
         impact = self.experiment()
-        film = self._film(impact) if self.video else None
+        film = Film(camera=self.camera or "side") if self.video else None
+        if film is not None:
+            film.check(impact.link)
         # The law may be None here, and is named in the file.
         config = {name: value for name, value in asdict(impact).items() if name != "law" or value}
         names = *RUN_FILES, *FIGURES, VIDEO
@@ -50,11 +52,6 @@ class ImpactCommand(FilmOptions, options_of(Impact)):
             if folder is not None and not problems:
                 folder.finish()
         return self.finish(problems)
-
-    def _film(self, impact: Impact) -> Film:
-        film = Film(camera=self.camera or "side")
-        film.check(impact.link)
-        return film
 
 
 _ROWS = (

@@ -240,17 +240,13 @@ class StudyResult(Mapped):
         """
         return self.journal.results()
 
-    def columns(self) -> list[str]:
-        """Return the names of all columns of the rows."""
-        names: dict[str, None] = {}
-        for row in self.rows():
-            names |= dict.fromkeys(row)
-        return [*names]
-
     def write_csv(self, path: Path) -> None:
         """Write a CSV file with a line for each row; cells that a row lacks are empty."""
+        columns: dict[str, None] = {}
+        for row in self.rows():
+            columns |= dict.fromkeys(row)
         with path.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, self.columns())
+            writer = csv.DictWriter(file, columns)
             writer.writeheader()
             writer.writerows(self.rows())
 

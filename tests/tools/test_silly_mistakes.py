@@ -141,9 +141,7 @@ drop block.xml floor.xml | Unrecognized options: floor.xml
 view block.xml --speed 0 | the speed must be positive and finite
 view block.xml --draw arrows | invalid choice 'arrows' for argument '--draw'. Expected one of
 elements block.xml --figure block.bmp | a figure is written as .png, .svg or .pdf, not
-elements block.xml --color geom | --color is for a figure: add --figure FILE
 elements block.xml --figure old | a figure is written as .png, .svg or .pdf, not
-elements block.xml --color red | invalid choice 'red' for argument '--color'. Expected one of
 elements block.xml --law link --medium glass_beads | no constants in medium 'glass_beads' for law
 impact --speed -1 | the downward speed of T must not be negative
 impact --angle 90 | the angle from the vertical must be less than 90 degrees
@@ -231,7 +229,6 @@ intrude --direction 400 | the direction must be within 180 degrees (pi = 3.1416 
 intrude --depth 0.05 --distance 0.2 | --depth and --distance both
 impact --body sphere | capsules and cylinders; take a medium whose own law takes every shape
 drop block.xml --geoms block --bodies blck | no body of the model 'blck' ... did you mean block?
-train CartPole-v1 --set environment.render_mode=human | environment.render_mode
 evaluate Hexapod-v0/ppo-0 --seeds 0 | seeds must be at least 1, not 0
 """
 _FRAME = str.maketrans("╭╮╰╯│─", " " * 6)  # around the parser's own messages
