@@ -41,7 +41,6 @@ POSITIVE["timestep"] = "time step"
         ("angle", -2.0, "less than 90 degrees"),
         ("angle", 45.0, "less than 90 degrees"),
         ("height", -1e-9, "0 or more"),
-        ("timestep", 3.0, "longer than the duration"),
         ("diameter", 0.5, "longer than it is thick"),
         ("until", "tomorrow", "stop, rest"),
     ],
