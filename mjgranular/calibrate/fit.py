@@ -90,19 +90,6 @@ class Fit:
     def material(self) -> Material:
         return Material.of(get_medium(self.medium), self.law)
 
-    def config(self) -> dict[str, Any]:
-        """Return the fit in plain values, resolved."""
-        material = self.material
-        return {
-            "law": material.law.name,
-            "constants": material.constants(),
-            "medium": material.medium.name,
-            "density": material.medium.density.value,
-            "free": list(self.free),
-            "hold_out": list(self.hold_out),
-            "runs": [run.config() for run in self.runs],
-        }
-
 
 @dataclass(frozen=True)
 class Curve:

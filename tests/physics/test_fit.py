@@ -165,13 +165,11 @@ def test_forces_in_two_directions_of_a_turning_leg(tmp_path):
         "medium: {density: 1500, internal_friction: 0.5, surface_friction: 0.4}\n"
         f"runs: [{{name: leg, kind: turn, speed: 0.2, data: leg.csv, body: {{file: {leg}}}}}]\n"
     )
-    fit = read_fit(file, law="rft3d", free=["strength", "surface_friction"])
-    result = run_fit(fit)
+    result = run_fit(read_fit(file, law="rft3d", free=["strength", "surface_friction"]))
     assert result.values["strength"] == pytest.approx(1.3, rel=1e-4)
     assert result.values["surface_friction"] == pytest.approx(0.25, rel=1e-3)
     assert all(result.identifiable.values())
     assert {curve.quantity for curve in result.curves["leg"]} == {"force", "lift"}
-    assert fit.config()["runs"][0]["body"] == str(leg)
 
 
 def test_lift_of_a_drag_counts():
