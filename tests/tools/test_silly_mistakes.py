@@ -161,7 +161,7 @@ intrude --model block.xml --geom foot | no geom of the model 'foot'; there are:
 intrude --model floor.xml --geom floor | geom 'floor' is fixed to the world
 intrude --model block.xml --intruder sphere | the intruder is a shape or of a model: omit --model
 sweep --vary mass=1,2 | no field to vary 'mass'; there are:
-sweep --vary speed=2:2:3 | a range goes from its lower to its upper end
+sweep --vary speed=2:2:3 | speed=2:2:3: both ends must be finite, and differ
 sweep --vary speed=1:2:1 | 2 to 1000000 values
 render nowhere | nowhere holds no saved run (nowhere/config.json cannot be
 render old | old holds no saved run (config.json
