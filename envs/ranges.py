@@ -14,7 +14,7 @@ from mjgranular.engine import tune
 from mjgranular.envs.figures import Figures
 from mjgranular.errors import InputError, UnknownNameError
 from mjgranular.law import law_in
-from mjgranular.medium import Medium, get_medium, media
+from mjgranular.medium import Medium, get_medium
 from mjgranular.relief.memory import as_memory
 from mjgranular.sand.material import medium_for
 from mjgranular.sand.spec import SandSpec, combined
@@ -103,15 +103,10 @@ class SandRanges:
 
 
 def _checked_name(key: str, given: Any) -> str:
-    """Return the name of a medium, law or surface that exists; of a registered medium, its own."""
+    """Return the name of a medium, law or surface that exists."""
+    if isinstance(given, Medium):
+        raise InputError(f"SandRanges: media must be names, got the medium {given.name!r}")
     if key == "media":
-        if isinstance(given, Medium):
-            if media.get(given.name) != given:
-                raise InputError(
-                    f"SandRanges: the medium {given.name!r} must be registered: call "
-                    "register_medium with it before, or give the path of a YAML file"
-                )
-            return given.name
         get_medium(given)
         return str(given)
     if key == "laws":

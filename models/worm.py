@@ -53,10 +53,6 @@ class Worm:
             value = getattr(self, name)
             if not (is_finite(value) and value > 0):
                 raise InputError(f"the worm's {name} must be positive, got {value}")
-        for name, least in (("depth", -math.inf), ("armature", 0.0)):
-            value = getattr(self, name)
-            if not (is_finite(value) and value >= least):
-                raise InputError(f"the worm's {name} must be finite, at least {least}, got {value}")
 
     @property
     def step(self) -> float:

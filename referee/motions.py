@@ -69,7 +69,7 @@ def ranges(found: list[list[Comparison]]) -> list[Range]:
             errors = [c.errors for c in judged or mine if c.errors is not None]
             if not errors:
                 continue
-            stops = [e.stop for e in errors if e.stop is not None]
+            stops = [e.stopping_time for e in errors if e.stopping_time is not None]
             out.append(
                 Range(
                     law=law,

@@ -211,6 +211,6 @@ def _small_beds(found: list[list[Comparison]]) -> list[str]:
         errors = compare(sets[name][large].motion, sets["small_bed"][small].motion)
         lines.append(
             f"- {text}: final depth {_percent(errors.final)}, stopping time "
-            f"{_percent(errors.stop)}. Errors below that are those of the bed."
+            f"{_percent(errors.stopping_time)}. Errors below that are those of the bed."
         )
     return lines

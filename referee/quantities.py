@@ -83,7 +83,10 @@ def _errors(c: Comparison) -> Iterable[tuple[str, float]]:
         return [(name, float(b / a) - 1) for a, b in zip(measured, computed, strict=True)]
 
     if c.run.kind == "drop":
-        return [("depth", e.final), *([] if e.stop is None else [("stop", e.stop)])]
+        return [
+            ("depth", e.final),
+            *([] if e.stopping_time is None else [("stop", e.stopping_time)]),
+        ]
     if c.run.kind == "intrude":
         return [("push", e.final)]
     if c.run.kind == "drag":

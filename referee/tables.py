@@ -96,7 +96,7 @@ def _runs(found: list[list[Comparison]]) -> _Rows:
         if c.errors is None:
             continue
         e = c.errors
-        errors = (e.trajectory, e.final, e.stop, e.peak, e.pitch, e.lift, e.depth)
+        errors = (e.trajectory, e.final, e.stopping_time, e.peak, e.pitch, e.lift, e.depth)
         yield (
             *(c.runs.name, c.run.name, f"{c.run.froude:.2g}", c.candidate.name, c.mark),
             *map(_number, errors),

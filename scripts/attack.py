@@ -6,8 +6,8 @@
 `steps` checks each step of both interfaces, `twins` that equivalent descriptions of a model move
 alike.
 Cases run in blocks, each in a process that may crash or hang. Each case is a line of JSON in the
-file `--out`, written when it ends. The last output is a table of all checks, with the command that
-repeats each failure. The exit status is 1 after a failure.
+file `--out`, written when it ends; a failure is printed with the command that repeats it. The last
+output is a table of all checks. The exit status is 1 after a failure.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ import tempfile
 import threading
 import time
 import traceback
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -90,14 +90,10 @@ def work(options: argparse.Namespace) -> None:
 def repeat(options: argparse.Namespace) -> bool:
     """Run one case and print all about it; return whether it passes."""
     name, number = options.only[0], options.case
-    attack = importlib.import_module(f"attacks.{name}")
-    case = attack.draw(options.seed, number, options)
-    if case is None:
-        print("nothing to check in this case")
-        return True
+    case = importlib.import_module(f"attacks.{name}").draw(options.seed, number, options)
+    print("nothing to check in this case" if case is None else case.describe())
     faulthandler.enable()
     row = attempt(name, options, number)
-    print(case.describe())
     print(json.dumps(row, indent=2))
     return not row["failures"]
 
@@ -106,19 +102,14 @@ def repeat(options: argparse.Namespace) -> bool:
 
 
 class Run:
-    """Processes that run cases, and the report of all.
-
-    Args:
-        options: the command line.
-    """
+    """Processes that run cases, and the report of all."""
 
     def __init__(self, options: argparse.Namespace) -> None:
         self.options, self.lock = options, threading.Lock()
         self.children: set[subprocess.Popen[str]] = set()
         self.stopped = False
         self.cases: Counter[str] = Counter()
-        self.checks = 0
-        self.failures: dict[str, list[tuple[str, str]]] = defaultdict(list)
+        self.failures: Counter[str] = Counter()
         options.out.parent.mkdir(parents=True, exist_ok=True)
 
     def block(self, name: str, numbers: range) -> None:
@@ -131,13 +122,15 @@ class Run:
                         numbers = numbers[1:]
                 if numbers and not self.stopped:
                     log.seek(0)
-                    self.keep(self.death(name, numbers[0], log.read()[-2000:]))
+                    reason = log.read()[-2000:] or "the process ended without a message"
+                    row = {"attack": name, "seed": self.options.seed, "case": numbers[0]}
+                    self.keep({**row, "counts": {}, "failures": {"survives": reason}})
                     numbers = numbers[1:]
 
-    def rows_of(self, name: str, numbers: range, log: Any, *more: str) -> Iterator[dict[str, Any]]:
+    def rows_of(self, name: str, numbers: range, log: Any) -> Iterator[dict[str, Any]]:
         """Run cases in a process, and yield its rows until it ends."""
         block = ["--first", numbers[0], "--models", len(numbers), "--limit", self.options.limit]
-        words = [*arguments_of(name, self.options), *map(str, block), *more]
+        words = [*arguments_of(name, self.options), *map(str, block)]
         command = [sys.executable, __file__, "--worker", *words]
         with subprocess.Popen(
             command, stdout=subprocess.PIPE, stderr=log, text=True, start_new_session=True
@@ -150,16 +143,6 @@ class Run:
                 yield json.loads(line)
         self.children.discard(child)
 
-    def death(self, name: str, number: int, log: str) -> dict[str, Any]:
-        """Return the row of a case that ended its process, unless MuJoCo alone does so too."""
-        row = {"attack": name, "seed": self.options.seed, "case": number, "counts": {}}
-        if name == "steps":
-            numbers = range(number, number + 1)
-            rows = [*self.rows_of(name, numbers, subprocess.DEVNULL, "--bare")]
-            if "begun" in rows[-1]:
-                return {**row, "failures": {}, "note": f"MuJoCo alone crashes: {log}"}
-        return {**row, "failures": {"survives": log or "the process ended without a message"}}
-
     def keep(self, row: dict[str, Any]) -> None:
         """Append a case to the file and to the table, and print its failures."""
         name, number = row["attack"], row["case"]
@@ -167,22 +150,17 @@ class Run:
         command = " ".join(["python scripts/attack.py", *words])
         with self.lock, self.options.out.open("a", encoding="utf-8") as file:
             print(json.dumps(row), file=file, flush=True)
-            self.checks += sum(row["counts"].values())
             self.cases.update(f"{name}: {check}" for check in row["counts"] | row["failures"])
             for check, text in row["failures"].items():
-                self.failures[f"{name}: {check}"].append((command, text))
+                self.failures[f"{name}: {check}"] += 1
                 print(f"FAILED {name} {number}, {check}: {text}\n  {command}", flush=True)
 
     def print_table(self) -> None:
-        """Print the number of cases and of failures of each check, and the commands."""
+        """Print the number of cases and of failures of each check."""
         print(f"\n{'check':36}{'cases':>8}{'failures':>10}")
         for check, count in sorted(self.cases.items()):
-            print(f"{check:36}{count:8,}{len(self.failures.get(check, ())):10,}")
-        for check, found in sorted(self.failures.items()):
-            print(f"\n{check}")
-            for command, text in found:
-                print(f"  {command}\n    {text.strip().splitlines()[-1][:200]}")
-        print(f"\n{self.checks:,} checks; report: {self.options.out}")
+            print(f"{check:36}{count:8,}{self.failures[check]:10,}")
+        print(f"\nreport: {self.options.out}")
 
     def all(self) -> int:
         """Run all requested cases; return the exit status."""
@@ -223,7 +201,6 @@ def parse() -> argparse.Namespace:
     add("--laws", nargs="+", help="default: all")
     add("--short", action="store_true", help="only some combinations of laws and surfaces")
     add("--out", type=Path, default=Path("runs/attack.jsonl"))
-    add("--bare", action="store_true", help=argparse.SUPPRESS)
     add("--worker", action="store_true", help=argparse.SUPPRESS)
     return parser.parse_args()
 

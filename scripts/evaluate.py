@@ -4,7 +4,6 @@ python scripts/evaluate.py mjgranular/ChainSwim-v0 policy
 """
 
 import sys
-from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -16,20 +15,16 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 import mjgranular.envs  # noqa: F401  registers its environments
 
 
-def main(env_id: str, folder: Path) -> None:
+def main(env_id: str = "mjgranular/ChainSwim-v0", folder: str = "policy") -> None:
     """Print the mean return; `mjgranular evaluate` also does other sands, with intervals."""
     plain = DummyVecEnv([lambda: Monitor(gym.make(env_id))])
-    env = VecNormalize.load(str(folder / "normalizer.pkl"), plain)
+    env = VecNormalize.load(f"{folder}/normalizer.pkl", plain)
     env.training, env.norm_reward = False, False
     env.seed(10_000)
-    model = PPO.load(folder / "policy.zip", device="cpu")
+    model = PPO.load(f"{folder}/policy.zip", device="cpu")
     returns, _ = evaluate_policy(model, env, n_eval_episodes=10, return_episode_rewards=True)
     print(f"{env_id}: {np.mean(returns):.4g}, standard deviation {np.std(returns, ddof=1):.2g}")
 
 
 if __name__ == "__main__":
-    given = sys.argv[1:]
-    main(
-        given[0] if given else "mjgranular/ChainSwim-v0",
-        Path(given[1] if len(given) > 1 else "policy"),
-    )
+    main(*sys.argv[1:])

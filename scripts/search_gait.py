@@ -15,7 +15,6 @@ import math
 import numpy as np
 
 from mjgranular.errors import GranularError, InputError
-from mjgranular.learn import environments
 from mjgranular.learn.agents import make_gait
 from mjgranular.learn.evaluate import AT_ONCE, parse_variant, run_episodes
 
@@ -33,9 +32,6 @@ def main() -> None:
     options = parser.parse_args()
     try:
         arguments = parse_variant(options.on)
-        env = environments.one(options.env, arguments)
-        make_gait(options.env, env, {})  # raises without a scripted gait
-        env.close()
         bounds = {}
         for name, _, ends in (text.partition("=") for text in options.ranges):
             low, colon, high = ends.partition(":")

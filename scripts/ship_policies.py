@@ -73,6 +73,4 @@ if __name__ == "__main__":
     parser.add_argument("--to", type=Path, default=SHIPPED)
     options = parser.parse_args()
     for folder in options.runs:
-        shipped = ship(folder, options.to)
-        size = sum(file.stat().st_size for file in shipped.iterdir())
-        print(f"{shipped}: {size / 1000:.0f} kB")
+        print(ship(folder, options.to))

@@ -14,11 +14,14 @@ from stable_baselines3.common.vec_env import VecNormalize
 import mjgranular.envs  # noqa: F401  registers its environments
 
 
-def main(env_id: str, steps: int, out: Path) -> None:
+def main(
+    env_id: str = "mjgranular/ChainSwim-v0", steps: str = "100000", folder: str = "policy"
+) -> None:
     """Train for `steps` steps; `mjgranular train` adds checkpoints and tuned settings."""
     env = VecNormalize(make_vec_env(lambda: gym.make(env_id), n_envs=4, seed=0))
     model = PPO("MlpPolicy", env, n_steps=512, batch_size=256, seed=0, device="cpu")
-    model.learn(steps)
+    model.learn(int(steps))
+    out = Path(folder)
     out.mkdir(parents=True, exist_ok=True)
     model.save(out / "policy.zip")
     env.save(str(out / "normalizer.pkl"))
@@ -26,9 +29,4 @@ def main(env_id: str, steps: int, out: Path) -> None:
 
 
 if __name__ == "__main__":
-    given = sys.argv[1:]
-    main(
-        given[0] if given else "mjgranular/ChainSwim-v0",
-        int(given[1]) if len(given) > 1 else 100_000,
-        Path(given[2] if len(given) > 2 else "policy"),
-    )
+    main(*sys.argv[1:])

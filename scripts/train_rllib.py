@@ -15,7 +15,9 @@ from ray.rllib.connectors.env_to_module import MeanStdFilter
 from mjgranular.envs.rllib import register_env
 
 
-def main(env_id: str, iterations: int, out: Path) -> None:
+def main(
+    env_id: str = "mjgranular/ChainSwim-v0", iterations: str = "100", out: str = "policy"
+) -> None:
     """Train for `iterations` iterations of 4096 steps each, sampled by two env runners."""
     ray.init(address="local", num_cpus=2, include_dashboard=False)
     config = (
@@ -41,20 +43,15 @@ def main(env_id: str, iterations: int, out: Path) -> None:
         .debugging(seed=0, log_level="ERROR")
     )
     algorithm = config.build_algo()
-    for iteration in range(iterations):
+    for iteration in range(int(iterations)):
         sampled = algorithm.train()["env_runners"]
         steps, mean = sampled["num_env_steps_sampled_lifetime"], sampled.get("episode_return_mean")
         reached = "no episode ended" if mean is None else f"mean return {mean:.4g}"
         print(f"{iteration + 1}: {steps:.0f} steps, {reached}", flush=True)
-    print(f"saved in {algorithm.save_to_path(str(out.absolute()))}")
+    print(f"saved in {algorithm.save_to_path(str(Path(out).absolute()))}")
     algorithm.stop()
     ray.shutdown()
 
 
 if __name__ == "__main__":
-    given = sys.argv[1:]
-    main(
-        given[0] if given else "mjgranular/ChainSwim-v0",
-        int(given[1]) if len(given) > 1 else 100,
-        Path(given[2] if len(given) > 2 else "policy"),
-    )
+    main(*sys.argv[1:])

@@ -38,8 +38,6 @@ _UNKNOWN = 10.0  # half width in parts of the value from which no interval is re
 _DENSITIES = (5.0, 25000.0)  # of bodies, from foam to osmium [kg/m^3]; chosen
 _ON_BOUND = 1e-3  # parts of its size within which a constant counts as on a bound; chosen
 
-Progress = Callable[[int, str], None]
-
 
 @dataclass(frozen=True)
 class Fit:
@@ -91,19 +89,6 @@ class Fit:
     @property
     def material(self) -> Material:
         return Material.of(get_medium(self.medium), self.law)
-
-    def config(self) -> dict[str, Any]:
-        """Return the fit in plain values, resolved."""
-        material = self.material
-        return {
-            "law": material.law.name,
-            "constants": material.constants(),
-            "medium": material.medium.name,
-            "density": material.medium.density.value,
-            "free": list(self.free),
-            "hold_out": list(self.hold_out),
-            "runs": [run.config() for run in self.runs],
-        }
 
 
 @dataclass(frozen=True)
@@ -175,12 +160,12 @@ class FitResult:
         }
 
 
-def run_fit(fit: Fit, *, progress: Progress | None = None) -> FitResult:
+def run_fit(fit: Fit, *, progress: Callable[[int], None] | None = None) -> FitResult:
     """Fit constants to runs, and predict the runs held out.
 
     Args:
         fit: the fit to run.
-        progress: called with the number of simulated runs, and the current task.
+        progress: called with the number of simulated runs.
 
     Raises:
         InputError: implausible data, or too few data for the free constants.

@@ -6,7 +6,6 @@ by `Law.strength_keys`. Bounds are what its constructor accepts.
 """
 
 import math
-import re
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any, Self, get_type_hints
@@ -169,18 +168,6 @@ class Material:
         except (GranularError, ArithmeticError):
             return False
         return True
-
-    def unit(self, name: str) -> str:
-        """Return the unit of a constant, from the law's docstring; "" if that has none."""
-        if name == DENSITY:
-            return "kg/m^3"
-        line = re.search(
-            rf"^\s*(?:\w+, )*{re.escape(name)}(?:, \w+)*: (.*?)(?=^\s*(?:\w+, )*\w+: |^\s*$|\Z)",
-            type(self.law).__doc__ or "",
-            re.MULTILINE | re.DOTALL,
-        )
-        unit = line and re.search(r"\[([^\]\s]+(?: [^\]\s]+)*)\]", line[1])
-        return unit[1] if unit else ""
 
     def constants(self) -> dict[str, float]:
         """Return the law's constants that a medium must have: all but defaults."""

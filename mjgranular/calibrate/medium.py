@@ -123,11 +123,10 @@ def fitted_medium(result: FitResult, name: str, *, source: str = "") -> Medium:
     constants = {}
     for constant, value in material.constants().items():
         quantity = known.get(constant)
-        unit = (quantity.unit if quantity else "") or material.unit(constant)
-        if quantity is not None and quantity.value == value:
-            constants[constant] = Quantity(value, unit, quantity.source)
-            continue
-        constants[constant] = Quantity(value, unit, _found(result, constant, source))
+        if quantity is None or quantity.value != value:
+            unit = quantity.unit if quantity else ""
+            quantity = Quantity(value, unit, _found(result, constant, source))
+        constants[constant] = quantity
     density = before.density
     if material.medium.density.value != density.value:
         density = Quantity(material.medium.density.value, "kg/m^3", _found(result, DENSITY, source))

@@ -112,10 +112,6 @@ class Errors:
         force: error of the mean force, in `compare` over the last fifth of a push or drag; of
             forces on a leg or wheel, by least squares.
         pitch: RMS error in a fit, else the error of the final pitch [degrees].
-        measured_depth: final depth [m].
-        predicted_depth: final depth [m].
-        measured_stopping_time: stopping time [s].
-        predicted_stopping_time: stopping time [s].
         peak: error of the largest force after a 1 ms mean.
         lift: error of lift, by least squares; None if lift is the load.
         speed: mean error of a robot's speeds.
@@ -126,10 +122,6 @@ class Errors:
     stopping_time: float | None = None
     force: float | None = None
     pitch: float | None = None
-    measured_depth: float | None = None
-    predicted_depth: float | None = None
-    measured_stopping_time: float | None = None
-    predicted_stopping_time: float | None = None
     peak: float | None = None
     lift: float | None = None
     speed: float | None = None
@@ -139,11 +131,6 @@ class Errors:
         """Error of what the run is about: speed of a robot, force, or depth of a drop."""
         every = (self.speed, self.force, self.depth)
         return next(error for error in every if error is not None)
-
-    @property
-    def stop(self) -> float | None:
-        """Error of the stopping time."""
-        return self.stopping_time
 
 
 def compare(measured: Motion, simulated: Motion) -> Errors:

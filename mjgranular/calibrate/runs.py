@@ -5,7 +5,7 @@ import io
 import math
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import KW_ONLY, dataclass, field, fields
+from dataclasses import KW_ONLY, dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -213,10 +213,6 @@ class Run:
             raise InputError(f"{where}: all columns must be finite numbers")
         return found
 
-    def config(self) -> dict[str, Any]:
-        given = isinstance(self.data, Mapping)
-        return _plain(self, data="given" if given else self.data, columns=dict(self.columns))
-
 
 @dataclass(frozen=True)
 class MeasuredRun:
@@ -284,9 +280,6 @@ class MeasuredRun:
         if self.kind == "walk" and not spec.keys:
             raise InputError(f"{shown(self.shape)}: a walk needs a keyframe to start from")
 
-    def config(self) -> dict[str, Any]:
-        return _plain(self, motion=None)
-
     @property
     def shape(self) -> str:
         """Shape of the body, or the name of its MJCF file."""
@@ -335,17 +328,6 @@ class RunSet:
             if run.name == name:
                 return run
         raise UnknownNameError(f"run of {self.name}", name, [run.name for run in self.runs])
-
-
-def _plain(run: Run | MeasuredRun, **changes: Any) -> dict[str, Any]:
-    """Return the fields of a run in plain values; those that are None or empty are omitted."""
-    values = {field.name: getattr(run, field.name) for field in fields(run)} | changes
-    for name, value in values.items():
-        if isinstance(value, Path):
-            values[name] = str(value)
-        elif isinstance(value, Body | Projectile):
-            values[name] = dict(vars(value))
-    return {name: value for name, value in values.items() if value not in (None, {})}
 
 
 def load_machine(file: Path) -> mujoco.MjSpec:

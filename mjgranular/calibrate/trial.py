@@ -433,10 +433,6 @@ class DropTrial(Trial):
             stopping_time=relative(measured.time, predicted.time),
             trajectory=rms(off[0]) / self.series[0].scale,
             pitch=rms(off[1]) if len(off) > 1 else None,
-            measured_depth=measured.depth,
-            predicted_depth=predicted.depth,
-            measured_stopping_time=measured.time,
-            predicted_stopping_time=predicted.time,
         )
 
 
@@ -484,7 +480,6 @@ class ModelTrial(DropTrial):
 
 _FAR = 10.0  # residual of a run that diverged: ten times what was measured
 _FINE = 1e-3  # relative step of a difference; chosen: the error of central ones is its square
-_KEPT = 64  # outcomes that are kept
 
 
 class Problem:
@@ -498,7 +493,7 @@ class Problem:
         trials: Sequence[Trial],
         material: Material,
         free: Sequence[str],
-        progress: Callable[[int, str], None] | None = None,
+        progress: Callable[[int], None] | None = None,
     ) -> None:
         self.trials, self.material, self.free = tuple(trials), material, tuple(free)
         self.shifted = [k for k, trial in enumerate(trials) if trial.shift is not None]
@@ -542,9 +537,7 @@ class Problem:
                     found.append(None)
                 self.evaluations += 1
                 if self._progress is not None:
-                    self._progress(self.evaluations, "fitting")
-            if len(self._outcomes) >= _KEPT:
-                self._outcomes.pop(next(iter(self._outcomes)))
+                    self._progress(self.evaluations)
             self._outcomes[key] = found
         return self._outcomes[key]
 

@@ -4,7 +4,7 @@ import json
 import logging
 import math
 import sys
-from collections.abc import Callable, Container, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -59,13 +59,12 @@ def table(
     rows: Iterable[Iterable[str]],
     *,
     words: int = 1,
-    right: Container[int] | None = None,
 ) -> Table:
-    """Make a table with columns `right` at the right, by default all but the first `words`."""
+    """Make a table with all columns but the first `words` at the right."""
     made = Table(title=title, title_justify="left")
     for number, heading in enumerate(headings):
-        left = number < words if right is None else number not in right
-        made.add_column(Text(heading), justify="left" if left else "right", no_wrap=number == 0)
+        justify = "left" if number < words else "right"
+        made.add_column(Text(heading), justify=justify, no_wrap=number == 0)
     for row in rows:
         made.add_row(*row)
     return made

@@ -4,7 +4,7 @@ import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import mujoco
 import numpy as np
@@ -13,7 +13,7 @@ import tyro
 from mjgranular._util.result_folder import ResultFolder
 from mjgranular.cli.console import out, print_json, table
 from mjgranular.cli.options import Flag, options_of
-from mjgranular.errors import FloorWarning, InputError
+from mjgranular.errors import FloorWarning
 from mjgranular.experiment.drop import Drop, loading, read, start_from
 from mjgranular.picture.elements import check_file, count, draw_elements, kind_of
 from mjgranular.sand import Sand
@@ -35,8 +35,6 @@ class ElementsCommand(options_of(Drop, *_CHOICE)):
     """The MJCF file."""
     figure: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """File for the figure, .png, .svg or .pdf."""
-    color: Literal["body", "geom"] = "body"
-    """Meaning of colors in the figure."""
     overwrite: Flag = False
     """Replace a figure that exists."""
     json: Flag = False
@@ -44,8 +42,6 @@ class ElementsCommand(options_of(Drop, *_CHOICE)):
 
     def run(self) -> int:
         if self.figure is None:
-            if self.color != "body":
-                raise InputError("--color is for a figure: add --figure FILE")
             self._show(self._cut()[0])
             return 0
         check_file(self.figure)
@@ -53,7 +49,7 @@ class ElementsCommand(options_of(Drop, *_CHOICE)):
         with folder.claimed(overwrite=self.overwrite):
             sand, qpos = self._cut()
             self._show(sand)
-            drawn = {"qpos": qpos, "color": self.color, "title": self.model.name}
+            drawn = {"qpos": qpos, "title": self.model.name}
             folder.write(self.figure.name, lambda path: draw_elements(sand, file=path, **drawn))
         if not self.json:
             out.print(f"written to {self.figure}")

@@ -11,9 +11,8 @@ from rich.table import Table
 from rich.text import Text
 
 from mjgranular._util.extras import require
-from mjgranular._util.result_folder import CONFIG, SUMMARY
 from mjgranular.cli.console import out, print_json, progress_bar
-from mjgranular.cli.options import Flag, OutputOptions
+from mjgranular.cli.options import Flag
 from mjgranular.errors import InputError, OutputError, UnknownNameError
 from mjgranular.learn import environments
 from mjgranular.learn.agents import BASELINES, Agent, make_baseline
@@ -38,8 +37,8 @@ class Actor:
         return self.agent.checked(self.environment, env)
 
 
-@dataclass(frozen=True, kw_only=True)
-class EvaluateCommand(OutputOptions):
+@dataclass(frozen=True)
+class EvaluateCommand:
     """Mean return over seeds with its 95 % confidence interval, for policies and baselines.
 
     Each POLICY is the folder of a run, the name of a policy that comes with the package
@@ -63,27 +62,22 @@ class EvaluateCommand(OutputOptions):
     """The first of consecutive seeds."""
     trust: Flag = False
     """Import and so execute the module of an environment that only a run's file names."""
+    json: Flag = False
+    """Print JSON instead of a table."""
 
     def run(self) -> int:
         jobs, seeds = self._jobs(), {"seeds": self.seeds, "first_seed": self.first_seed}
-        with self.claimed(CONFIG, SUMMARY) as folder:
-            scores = []
-            with progress_bar("running episodes", len(jobs)) as show:
-                for done, (actor, variant) in enumerate(jobs):
-                    show(done, f"{actor.name} {variant}")
-                    what = actor.name, actor.make, actor.environment, actor.arguments
-                    scores.append(evaluate(*what, variant=variant, **seeds))
-            rows = [score.as_json() for score in scores]
-            if folder is not None:
-                names = ("policies", "agent", "env", "on", "seeds", "first_seed")
-                config = {name: getattr(self, name) for name in names}
-                with folder.published("evaluate", config, rows):
-                    pass  # there are no other files
-            if self.json:
-                print_json(rows)
-            else:
-                out.print(table_of(scores, self.seeds))
-        return self.finish()
+        scores = []
+        with progress_bar("running episodes", len(jobs)) as show:
+            for done, (actor, variant) in enumerate(jobs):
+                show(done, f"{actor.name} {variant}")
+                what = actor.name, actor.make, actor.environment, actor.arguments
+                scores.append(evaluate(*what, variant=variant, **seeds))
+        if self.json:
+            print_json([score.as_json() for score in scores])
+        else:
+            out.print(table_of(scores, self.seeds))
+        return 0
 
     def _jobs(self) -> list[tuple[Actor, str]]:
         """Return the agents and variants, after making each environment once to find mistakes."""

@@ -1,10 +1,7 @@
 """`mjgranular fit`: a medium from measurements."""
 
-import json
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated
 
@@ -12,7 +9,6 @@ import tyro
 from rich.table import Table
 
 from mjgranular._util import files
-from mjgranular._util.versions import versions
 from mjgranular.calibrate import Errors, Fit, FitResult, read_fit, run_fit
 from mjgranular.calibrate.medium import fitted_medium, medium_text
 from mjgranular.cli.console import out, print_json, progress_bar, show_error, table
@@ -28,8 +24,8 @@ class FitCommand:
     """Fit a medium to your own measurements of drops, pushes and drags.
 
     Prints the constants of a law with 95 % intervals, which of them the data separate, and the
-    errors of each run. With --out FILE.yaml, writes a medium that
-    --medium takes, with a figure of the curves and the whole result next to it.
+    errors of each run. With --out FILE.yaml, writes a medium that --medium takes, with a figure
+    of the curves next to it.
     """
 
     runs: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUNS.yaml")]
@@ -44,7 +40,7 @@ class FitCommand:
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE.yaml")] = None
     """File for the medium; nothing is written without it."""
     overwrite: Flag = False
-    """Replace a medium that exists, and the files next to it."""
+    """Replace a medium that exists, and the figure next to it."""
     json: Flag = False
     """Print one JSON object instead of tables."""
 
@@ -57,9 +53,9 @@ class FitCommand:
             raise InputError(f"--out must be a file that ends in .yaml, got {str(self.out)!r}")
         if not self.out.parent.is_dir():
             raise InputError(f"there is no folder {self.out.parent} for {self.out.name}: make it")
-        details, figure = (self.out.with_suffix(f".fit{end}") for end in (".json", ".png"))
+        figure = self.out.with_suffix(".fit.png")
         with files.locked(self.out.parent, f".{self.out.name}{files.LOCK}"):
-            for path in (self.out, details, figure):
+            for path in (self.out, figure):
                 if path.exists() and not self.overwrite:
                     raise OutputError(f"{path} exists: choose another name, or use --overwrite")
             result = _run(fit)
@@ -68,7 +64,6 @@ class FitCommand:
                 draw_fit(figure, result)
             except MissingExtraError as error:
                 problem = error
-            files.write_text(details, self._details(fit, result))
             fitted = ", ".join(run.name for run in fit.runs if run.name not in fit.hold_out)
             source = f"{self.runs.name} ({fitted})"
             medium = fitted_medium(result, self.out.stem, source=source)
@@ -79,16 +74,6 @@ class FitCommand:
         if problem is not None:
             show_error(f"{problem} (the medium is in {self.out})")
         return 2 if problem else 0
-
-    def _details(self, fit: Fit, result: FitResult) -> str:
-        content = {
-            "command": "fit",
-            "config": {**fit.config(), "file": str(self.runs)},
-            "result": result.summary(),
-            "versions": versions("scipy"),
-            "finished": datetime.now(UTC).isoformat(timespec="seconds"),
-        }
-        return json.dumps(content, indent=2, allow_nan=False) + "\n"
 
     def _show(self, result: FitResult) -> None:
         if self.json:
@@ -103,17 +88,10 @@ class FitCommand:
 
 
 def _run(fit: Fit) -> FitResult:
-    """Run a fit; show a progress bar as soon as the data are read and checked."""
+    """Run a fit with a progress bar."""
     guess = len(fit.runs) * (1 + 2 * len(fit.free)) * _ROUNDS
-    with ExitStack() as stack:
-        bars: list[Callable[..., None]] = []
-
-        def progress(done: int, what: str) -> None:
-            if not bars:
-                bars.append(stack.enter_context(progress_bar(what, guess)))
-            bars[0](min(done, 0.95 * guess), what)
-
-        return run_fit(fit, progress=progress)
+    with progress_bar("fitting", guess) as show:
+        return run_fit(fit, progress=lambda done: show(min(done, 0.95 * guess)))
 
 
 def sentences(result: FitResult) -> Iterator[str]:
@@ -147,10 +125,9 @@ def _constants(result: FitResult) -> Table:
     for name, value in result.values.items():
         low, high = ("..." if end is None else f"{end:.4g}" for end in result.intervals[name])
         determined = "yes" if result.identifiable[name] else "no"
-        unit = "" if name == "strength" else result.material.unit(name)
-        rows.append((name, f"{value:.4g}", f"{low} to {high}", unit, determined))
-    headings = ("constant", "value", "95 % interval", "unit", "determined")
-    return table(f"Constants of {result.material.law.name}", headings, rows, right=(1, 2))
+        rows.append((name, f"{value:.4g}", f"{low} to {high}", determined))
+    headings = ("constant", "value", "95 % interval", "determined")
+    return table(f"Constants of {result.material.law.name}", headings, rows)
 
 
 def _errors(title: str, errors: Mapping[str, Errors]) -> Table:

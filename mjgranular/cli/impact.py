@@ -15,7 +15,6 @@ from mjgranular.experiment.folder import RUN_FILES, write_impact
 from mjgranular.experiment.trajectory import Trajectory
 from mjgranular.picture.figures import draw_forces, draw_motion
 from mjgranular.picture.video import Film, frames_of_run
-from mjgranular.render import Tracks
 
 FIGURES = ("motion.png", "forces.png")
 VIDEO = "impact.mp4"
@@ -34,7 +33,9 @@ class ImpactCommand(FilmOptions, options_of(Impact)):
         if self.body == "sphere" and self.length != Impact.length:
             raise InputError("a sphere has no --length: its size is its --diameter")
         impact = self.experiment()
-        film = self._film(impact) if self.video else None
+        film = Film(camera=self.camera or "side") if self.video else None
+        if film is not None:
+            film.check(impact.link)
         # The law may be None here, and is named in the file.
         config = {name: value for name, value in asdict(impact).items() if name != "law" or value}
         names = *RUN_FILES, *FIGURES, VIDEO
@@ -51,11 +52,6 @@ class ImpactCommand(FilmOptions, options_of(Impact)):
             if folder is not None and not problems:
                 folder.finish()
         return self.finish(problems)
-
-    def _film(self, impact: Impact) -> Film:
-        film = Film(camera=self.camera or "side")
-        film.check(impact.link)
-        return film
 
 
 _ROWS = (
@@ -118,19 +114,15 @@ def _draw(folder: ResultFolder, result: ImpactResult, film: Film | None) -> list
         for name, draw in zip(FIGURES, (draw_motion, draw_forces), strict=True):
             folder.write(name, lambda path, draw=draw: draw(path, result.trajectory, **options))
     if film is not None:
-        frames = film_impact(result.impact, result.trajectory, summary, film, result.prints)
+        frames = film_impact(result.impact, result.trajectory, summary, film)
         with collected(problems):
             write_film(folder, VIDEO, film, frames)
     return problems
 
 
 def film_impact(
-    impact: Impact,
-    trajectory: Trajectory,
-    summary: dict[str, Any],
-    film: Film,
-    prints: Tracks | None = None,
+    impact: Impact, trajectory: Trajectory, summary: dict[str, Any], film: Film
 ) -> Frames:
     """Return a function for the frames of a film of a drop."""
-    options = {"stop": release_to_stop(summary), "prints": prints, "sand": impact.described}
-    return partial(frames_of_run, film, impact.link, trajectory, **options)
+    stop = release_to_stop(summary)
+    return partial(frames_of_run, film, impact.link, trajectory, stop=stop)

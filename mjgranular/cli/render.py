@@ -12,13 +12,7 @@ from mjgranular.cli.console import out
 from mjgranular.cli.evaluate import find_actor, is_environment, warn_of_sand
 from mjgranular.cli.options import Flag, Frames, options_of, write_film
 from mjgranular.errors import InputError
-from mjgranular.experiment.folder import (
-    prints_of,
-    read_drop,
-    read_impact,
-    read_prints,
-    saved_command,
-)
+from mjgranular.experiment.folder import prints_of, read_drop, read_impact, saved_command
 from mjgranular.learn.evaluate import FIRST_SEED, parse_variant
 from mjgranular.learn.film import frames_of_episode
 from mjgranular.learn.policies import shipped_policies
@@ -89,8 +83,7 @@ class RenderCommand(options_of(Film, "seconds", "width", "height", "fps")):
     def _impact(self, film: Film) -> tuple[Film, Frames]:
         experiment, summary, trajectory = read_impact(self.run_folder)
         film.check(experiment.link)
-        prints = read_prints(self.run_folder)
-        return film, impact.film_impact(experiment, trajectory, summary, film, prints)
+        return film, impact.film_impact(experiment, trajectory, summary, film)
 
     def _model(self, film: Film) -> tuple[Film, Frames]:
         experiment, arrays = read_drop(self.run_folder)

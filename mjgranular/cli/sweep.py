@@ -28,7 +28,7 @@ from mjgranular.cli.options import (
     parse_integer,
 )
 from mjgranular.errors import InputError, MissingExtraError, UnknownNameError, shown
-from mjgranular.experiment import Between, Study, StudyResult, journal_of, run_study
+from mjgranular.experiment import Study, StudyResult, journal_of, run_study
 from mjgranular.experiment.study import ANGLES, Experiment, Value, column_of
 from mjgranular.picture.studies import OUTCOMES, axis_of, draw_study
 from mjgranular.pool import UNFINISHED, Journal, Workers
@@ -54,10 +54,6 @@ class SweepCommand(OutputOptions):
     of: Annotated[str, tyro.conf.arg(metavar="COMMAND")] = "impact"
     """The experiment: a command in quotes, such as "impact --speed 2 --law rft2d", "drop MODEL.xml
     --slope 15" or "intrude --intruder sphere"."""
-    sample: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
-    """Draw N points of a Latin hypercube from ranges such as --vary speed=1:10."""
-    seed: Annotated[int, tyro.conf.arg(metavar="N")] = 0
-    """Seed of --sample."""
     engine: Literal["local", "ray"] = "local"
     """Processes of this machine, or Ray: on this machine, or with --address on a cluster."""
     address: Annotated[str | None, tyro.conf.arg(metavar="auto|HOST:PORT")] = None
@@ -67,7 +63,8 @@ class SweepCommand(OutputOptions):
 
     def run(self) -> int:
         workers = Workers(self.engine, self.workers, self.address)
-        study = self._study()
+        varied = read_vary(self.vary)
+        study = Study(read_experiment(self.of, varied), varied)
         journal = journal_of(study, self.out)
         names = (CONFIG, SUMMARY, "sweep.csv", "sweep.png")
         with self._resumable(journal, *names) as folder:
@@ -81,14 +78,6 @@ class SweepCommand(OutputOptions):
                 self._write(folder, result)
                 self.finish()
         return self._status(result)
-
-    def _study(self) -> Study:
-        if self.sample is None:
-            for name in given_options(self, "seed"):
-                raise InputError(f"{option(name)} is for --sample")
-        varied = read_vary(self.vary)
-        experiment = read_experiment(self.of, varied)
-        return Study(experiment, varied, self.sample, self.seed)
 
     @contextmanager
     def _resumable(self, journal: Journal, *names: str) -> Iterator[ResultFolder | None]:
@@ -194,22 +183,21 @@ def _draw(folder: ResultFolder, result: StudyResult) -> None:
     first = next(result.rows())
     fixed = {"medium": f"{first['medium']}", "law": f"{first['law']} law"}
     words = [text for name, text in fixed.items() if name not in study.vary]
-    options = {"joined": study.sample is None, "title": ", ".join([study.experiment.title, *words])}
-    folder.write("sweep.png", lambda path: draw_study(path, columns, varied, outcomes, **options))
+    title = ", ".join([study.experiment.title, *words])
+    folder.write("sweep.png", lambda path: draw_study(path, columns, varied, outcomes, title=title))
 
 
-def read_vary(words: Sequence[str]) -> dict[str, Sequence[Value] | Between]:
-    """Read fields and their values from `speed=1:10:19 angle=30,45 law.eta_v=18:26`.
+def read_vary(words: Sequence[str]) -> dict[str, Sequence[Value]]:
+    """Read fields and their values from `speed=1:10:19 angle=30,45 law.eta_v=18,26`.
 
-    `FIRST:LAST:COUNT` is evenly spaced, both ends included; `LOW:HIGH` a range to draw from.
+    `FIRST:LAST:COUNT` is evenly spaced, both ends included.
     """
-    found: dict[str, Sequence[Value] | Between] = {}
+    found: dict[str, Sequence[Value]] = {}
     for word in words:
         name, equals, text = word.partition("=")
         if not (equals and name and text):
             raise InputError(
-                "--vary takes NAME=FIRST:LAST:COUNT, NAME=VALUE,VALUE,... or, for a sample, "
-                f"NAME=LOW:HIGH, got {shown(word)}"
+                f"--vary takes NAME=FIRST:LAST:COUNT or NAME=VALUE,VALUE,..., got {shown(word)}"
             )
         if name in found:
             raise InputError(f"{name} is varied twice")
@@ -217,16 +205,14 @@ def read_vary(words: Sequence[str]) -> dict[str, Sequence[Value] | Between]:
     return found
 
 
-def _values(name: str, text: str) -> Sequence[Value] | Between:
+def _values(name: str, text: str) -> Sequence[Value]:
     scale = math.radians(1) if name in ANGLES else 1.0
     parts = text.split(":")
     ends = [parse_number(part) for part in parts[:2]]
     if len(parts) == 1 or name == "law" or None in ends:  # my_laws:Mud is a name
         return [_value(name, part.strip()) for part in text.split(",")]
     low, high = (scale * (end or 0.0) for end in ends)
-    if len(parts) == 2:
-        return Between(low, high)
-    if len(parts) > 3:
+    if len(parts) != 3:
         raise InputError(f"{name} varies from FIRST:LAST:COUNT, got {shown(text)}")
     try:
         count = parse_integer(parts[2])
@@ -234,7 +220,8 @@ def _values(name: str, text: str) -> Sequence[Value] | Between:
         raise InputError(f"{name}={text}: the number of values {error}") from None
     if not 2 <= count <= _MOST_VALUES:
         raise InputError(f"{name}={text}: there must be 2 to {_MOST_VALUES} values, got {count}")
-    Between(min(low, high), max(low, high))  # raises unless both are finite and differ
+    if low == high or not (math.isfinite(low) and math.isfinite(high)):
+        raise InputError(f"{name}={text}: both ends must be finite, and differ")
     return np.linspace(low, high, count).tolist()
 
 

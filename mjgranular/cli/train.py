@@ -86,11 +86,6 @@ class TrainCommand:
         settings = change(settings, self.set)
         if self.total_steps is not None:
             settings = replace(settings, total_steps=self.total_steps)
-        if "render_mode" in settings.environment:
-            raise InputError(
-                "nothing is drawn during a training: omit environment.render_mode; mjgranular "
-                "render films the run"
-            )
         name, seed = self.environment.replace(":", "/").rpartition("/")[2], self.seed or 0
         path = self.out or Path("runs") / f"{name}-{settings.algorithm}-{seed}"
         run = begin_run(path, self.environment, settings, seed=seed)

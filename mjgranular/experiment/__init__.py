@@ -11,7 +11,6 @@ from mjgranular.experiment.impact import run_impact as run_impact
 from mjgranular.experiment.intrusion import Intrusion as Intrusion
 from mjgranular.experiment.intrusion import IntrusionResult as IntrusionResult
 from mjgranular.experiment.intrusion import run_intrusion as run_intrusion
-from mjgranular.experiment.study import Between as Between
 from mjgranular.experiment.study import Study as Study
 from mjgranular.experiment.study import StudyResult as StudyResult
 from mjgranular.experiment.study import journal_of as journal_of

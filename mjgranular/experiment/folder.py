@@ -14,20 +14,18 @@ from mjgranular._util.result_folder import CONFIG, SUMMARY, ResultFolder
 from mjgranular.errors import GranularError, OutputError
 from mjgranular.experiment.drop import Drop, DropResult
 from mjgranular.experiment.impact import Impact, ImpactResult
-from mjgranular.experiment.trajectory import Trajectory, write_numbers
+from mjgranular.experiment.trajectory import Trajectory
 from mjgranular.render import Tracks
 
-_CSV = "trajectory.csv"
 _NPZ = "trajectory.npz"
-RUN_FILES = (CONFIG, SUMMARY, _CSV, _NPZ)
+RUN_FILES = (CONFIG, SUMMARY, _NPZ)
 
 
 def write_impact(folder: ResultFolder, result: ImpactResult) -> None:
     """Write an impact: configuration, trajectory and summary, at once."""
     config = {**asdict(result.impact), "law": result.law}
     with folder.published("impact", config, result.summary(), unfinished=True):
-        folder.write(_CSV, result.trajectory.write_csv)
-        folder.write(_NPZ, lambda path: result.trajectory.write_npz(path, result.prints))
+        folder.write(_NPZ, result.trajectory.write_npz)
 
 
 _DROP_ARRAYS = ("t", "qpos", "qvel", "depth", "point", "force", "power")
@@ -39,17 +37,7 @@ def write_drop(folder: ResultFolder, result: DropResult) -> None:
     if result.prints is not None:
         arrays |= result.prints.arrays()
     with folder.published("drop", asdict(result.drop), result.summary(), unfinished=True):
-        folder.write(_CSV, lambda path: _write_drop_csv(path, result))
         folder.write(_NPZ, lambda path: np.savez_compressed(path, **arrays))
-
-
-def _write_drop_csv(path: Path, result: DropResult) -> None:
-    names = ("depth [m]", "F_x [N]", "F_y [N]", "F_z [N]", "power [W]")
-    header, columns = ["t [s]"], [result.t]
-    for k, body in enumerate(result.bodies):
-        header += [f"{body.body}: {name}" for name in names]
-        columns += [result.depth[:, k], *result.force[:, k].T, result.power[:, k]]
-    write_numbers(path, header, np.column_stack(columns))
 
 
 def saved_command(path: Path) -> str:
@@ -110,16 +98,11 @@ def read_impact(path: Path) -> tuple[Impact, dict[str, Any], Trajectory]:
         summary = read_json(files.latest_path(path, SUMMARY))
         for name in ("touchdown_time", "stopping_time"):
             number(summary, name, path / SUMMARY)
-        impact = Impact(**checked_fields(Impact, config.get("config"), path / CONFIG))
-        trajectory = Trajectory.read_npz(files.latest_path(path, _NPZ))
-        return impact, summary, trajectory
+        options = config.get("config")
+        if isinstance(options, dict):
+            options.pop("memory", None)  # of version 0.3
+        impact = Impact(**checked_fields(Impact, options, path / CONFIG))
+        return impact, summary, Trajectory.read_npz(files.latest_path(path, _NPZ))
 
     with _saved(path, "impact"):
         return files.read_consistent(path, CONFIG, read)
-
-
-def read_prints(path: Path) -> Tracks | None:
-    """Read the tracks of a saved impact; None for sand without memory."""
-    file = files.latest_path(path, _NPZ)
-    with _saved(path, "impact"):
-        return prints_of(read_arrays(file, Tracks.names())) if Tracks.are_in(file) else None

@@ -8,15 +8,13 @@ import types
 import typing
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Any, get_args
 
 import mujoco
 import numpy as np
 
-from mjgranular._util.checks import check_count, check_kind, is_finite, kind_of
-from mjgranular._util.extras import require
+from mjgranular._util.checks import check_kind, is_finite, kind_of
 from mjgranular._util.io import read_file
 from mjgranular.errors import GranularError, InputError, UnknownNameError, shown
 from mjgranular.experiment.drop import Drop, loading, run_drop
@@ -41,51 +39,24 @@ _NOT_VARIED = ("model", "bodies", "geoms", "groups", "instead_of", "keep_floor")
 
 
 @dataclass(frozen=True)
-class Between:
-    """A range that values are drawn from.
-
-    Attributes:
-        low: its lower end.
-        high: its upper end.
-    """
-
-    low: float
-    high: float
-
-    def __post_init__(self) -> None:
-        low, high = self.low, self.high
-        if not (is_finite(low) and is_finite(high) and low < high):
-            raise InputError(
-                "a range goes from its lower to its upper end, both finite, got "
-                f"{shown(low)} to {shown(high)}"
-            )
-
-
-@dataclass(frozen=True)
 class Study:
     """An experiment with some of its fields varied.
 
-    Without `sample` it is a grid: every value of a field with every value of the others, the last
-    field fastest. With it, points are drawn, spread evenly over the ranges.
+    Every value of a field is combined with every value of the others, the last field fastest.
 
     Attributes:
         experiment: the common part: an `Impact`, a `Drop` or an `Intrusion`.
-        vary: values of each varied field, or for a sample a range, `Between`. Fields of the
-            experiment, in SI units and radians; `law.NAME` is a parameter of the law;
-            `medium.density` is the bulk density of the sand [kg/m^3].
-        sample: number of points of a Latin hypercube, by `scipy.stats.qmc`; None for a grid.
-        seed: seed of the sample.
+        vary: values of each varied field. Fields of the experiment, in SI units and radians;
+            `law.NAME` is a parameter of the law; `medium.density` is the bulk density of the sand
+            [kg/m^3].
 
     Raises:
-        InputError: nothing is varied, a value is invalid, or a grid has a range.
+        InputError: nothing is varied, or a value is invalid.
         UnknownNameError: no such field; lists the valid ones.
-        MissingExtraError: a sample needs SciPy, which is not installed.
     """
 
     experiment: Experiment = field(default_factory=Impact)
-    vary: Mapping[str, Sequence[Value] | Between] = field(default_factory=dict)
-    sample: int | None = None
-    seed: int = 0
+    vary: Mapping[str, Sequence[Value]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not isinstance(self.experiment, get_args(Experiment)):
@@ -96,9 +67,6 @@ class Study:
             raise InputError(f"vary must be a table, {{'speed': [1, 2]}}, got {kind_of(self.vary)}")
         if not self.vary:
             raise InputError("a study varies something, such as speed=(1.0, 2.0)")
-        if self.sample is not None:
-            check_count("sample", self.sample)
-        check_count("seed", self.seed, least=0)
         for name, values in self.vary.items():
             self._check_values(name, values)
         if len(self) > _MOST:
@@ -106,22 +74,16 @@ class Study:
         self._check_experiments()
 
     def __len__(self) -> int:
-        return math.prod(self._shape) if self.sample is None else self.sample
+        return math.prod(self._shape)
 
     def __getitem__(self, index: int) -> dict[str, Value]:
         """Return the values of one experiment, by the names of the fields."""
         if not 0 <= index < len(self):
             raise IndexError(index)
-        if self.sample is None:
-            at = np.unravel_index(index, self._shape)
-            return {
-                name: _plain(values[int(k)])  # pyright: ignore[reportIndexIssue]
-                for (name, values), k in zip(self.vary.items(), at, strict=True)
-            }
-        drawn = self._points[index].tolist()
+        at = np.unravel_index(index, self._shape)
         return {
-            name: _drawn(values, share)
-            for (name, values), share in zip(self.vary.items(), drawn, strict=True)
+            name: _plain(values[int(k)])
+            for (name, values), k in zip(self.vary.items(), at, strict=True)
         }
 
     def at(self, index: int) -> Experiment:
@@ -134,34 +96,14 @@ class Study:
         return {
             "experiment": type(self.experiment).__name__.lower(),
             "common": {key: str(v) if isinstance(v, Path) else v for key, v in common},
-            "vary": {
-                name: asdict(values) if isinstance(values, Between) else [*map(_plain, values)]
-                for name, values in self.vary.items()
-            },
-            "sample": self.sample,
-            "seed": None if self.sample is None else self.seed,
+            "vary": {name: [*map(_plain, values)] for name, values in self.vary.items()},
         }
 
     @property
     def _shape(self) -> tuple[int, ...]:
-        return tuple(1 if isinstance(v, Between) else len(v) for v in self.vary.values())
-
-    @cached_property
-    def _points(self) -> np.ndarray:
-        """Drawn points in the unit cube, shape (sample, fields)."""
-        assert self.sample is not None
-        qmc = require("scipy.stats.qmc", extra="sample", purpose="Drawing a sample")
-        cube = qmc.LatinHypercube(len(self.vary), seed=np.random.default_rng(self.seed))
-        return cube.random(self.sample)
+        return tuple(map(len, self.vary.values()))
 
     def _check_values(self, name: str, values: object) -> None:
-        if isinstance(values, Between):
-            if self.sample is None:
-                raise InputError(
-                    f"{name} has a range, and a grid needs values: say how many, as in "
-                    f"{name}={values.low:g}:{values.high:g}:10, or draw a sample"
-                )
-            return
         if isinstance(values, str) or not isinstance(values, (Sequence, np.ndarray)):
             raise InputError(f"{name} needs a list of values, got {kind_of(values)}")
         if not len(values):
@@ -177,8 +119,6 @@ class Study:
         for name, values in some.items():
             for value in values:
                 with_values(self.experiment, {**first, name: value})
-        if self.sample is not None:
-            _ = self._points
 
 
 def with_values(experiment: Experiment, values: Mapping[str, Value]) -> Experiment:
@@ -258,17 +198,8 @@ def _plain(value: Any) -> Value:
     return value.item() if isinstance(value, np.generic) else value
 
 
-def _drawn(values: Sequence[Value] | Between, share: float) -> Value:
-    """Return the value at a share of a range or list, from 0 to 1."""
-    if isinstance(values, Between):
-        return values.low + share * (values.high - values.low)
-    return _plain(values[min(int(share * len(values)), len(values) - 1)])
-
-
-def _some(values: Sequence[Value] | Between) -> list[Value]:
+def _some(values: Sequence[Value]) -> list[Value]:
     """Return values to check beforehand."""
-    if isinstance(values, Between):
-        return [values.low, values.high]
     few = values if len(values) <= _CHECKED else [values[0], values[-1]]
     return [_plain(value) for value in few]
 
@@ -309,17 +240,13 @@ class StudyResult(Mapped):
         """
         return self.journal.results()
 
-    def columns(self) -> list[str]:
-        """Return the names of all columns of the rows."""
-        names: dict[str, None] = {}
-        for row in self.rows():
-            names |= dict.fromkeys(row)
-        return [*names]
-
     def write_csv(self, path: Path) -> None:
         """Write a CSV file with a line for each row; cells that a row lacks are empty."""
+        columns: dict[str, None] = {}
+        for row in self.rows():
+            columns |= dict.fromkeys(row)
         with path.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, self.columns())
+            writer = csv.DictWriter(file, columns)
             writer.writeheader()
             writer.writerows(self.rows())
 

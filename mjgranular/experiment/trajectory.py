@@ -1,6 +1,5 @@
 """The trajectory of a link: samples of its state, and what follows from them."""
 
-import csv
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -13,16 +12,7 @@ from mjgranular._util.files import atomic_write
 from mjgranular._util.io import read_arrays
 from mjgranular.errors import OutputError
 from mjgranular.models import Link
-from mjgranular.render import Tracks
 from mjgranular.sand.report import BodyReport
-
-
-def write_numbers(path: Path, header: Sequence[str], values: np.ndarray) -> None:
-    """Write an array, shape (rows, columns), as a CSV file with all digits."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(header)
-        writer.writerows([map(repr, row) for row in values.tolist()])
 
 
 @dataclass(frozen=True)
@@ -110,14 +100,9 @@ class Trajectory:
         """Return all columns, shape (n, 20)."""
         return np.column_stack([getattr(self, field.name) for field in fields(self)])
 
-    def write_csv(self, path: Path) -> None:
-        with atomic_write(path) as part:
-            write_numbers(part, [f"{f.name} [{UNITS[f.name]}]" for f in fields(self)], self.table())
-
-    def write_npz(self, path: Path, prints: Tracks | None = None) -> None:
-        """Write the samples as arrays by name, and tracks if there are any."""
+    def write_npz(self, path: Path) -> None:
+        """Write the samples as arrays by name."""
         arrays = {f.name: getattr(self, f.name) for f in fields(self)}
-        arrays |= {} if prints is None else prints.arrays()
         with atomic_write(path) as part, part.open("wb") as file:
             np.savez_compressed(file, **arrays)
 
@@ -128,21 +113,6 @@ class Trajectory:
         if t.ndim != 1 or not len(t) or any(a.shape != t.shape for a in arrays.values()):
             raise OutputError(f"{path} is damaged: its columns differ in length")
         return cls(**arrays)
-
-
-UNITS = {
-    **dict.fromkeys(("x", "z", "x_T", "y_T", "x_E", "y_E", "length"), "m"),
-    **dict.fromkeys(("vx", "vz", "v_Tx", "v_Ty"), "m/s"),
-    **dict.fromkeys(("F_x", "F_y"), "N"),
-    "t": "s",
-    "q": "rad",
-    "omega": "rad/s",
-    "M": "N m",
-    "power": "W",
-    "froude": "-",
-    "energy": "J",
-}
-"""Unit of each column of `Trajectory`."""
 
 
 def degrees(angle: float) -> float:

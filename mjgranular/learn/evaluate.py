@@ -43,8 +43,6 @@ def run_episodes(
     seeds: Sequence[int],
 ) -> Episodes:
     """Run one episode for each seed."""
-    if not seeds:
-        raise InputError("at least one seed is needed")
     parts = []
     for first in range(0, len(seeds), AT_ONCE):
         some = list(seeds[first : first + AT_ONCE])
@@ -53,11 +51,6 @@ def run_episodes(
             parts.append(_step_to_end(env, make_agent(env), some))
         finally:
             env.close()
-    return joined(parts)
-
-
-def joined(parts: Sequence[Episodes]) -> Episodes:
-    """Concatenate episodes, with the figures that all have."""
     names = [name for name in parts[0].figures if all(name in part.figures for part in parts)]
     return Episodes(
         np.concatenate([part.seeds for part in parts]),

@@ -27,8 +27,6 @@ Sands = list[dict[str, Any]]
 """A table for each sand: names of `medium` and `law`, the law's `constants` by name, `surface` and
 `memory` as in MJCF; `memory` is None for sand without memory."""
 
-_LISTED = 4  # changes in a sentence; chosen
-
 
 def sands_of(env: Any) -> Sands | None:
     """Return the sands in the model of an environment, and of each `Sand` that is its attribute.
@@ -103,8 +101,7 @@ def changes(before: Sands | None, now: Sands | None) -> str:
             was, value = one.get(name, "0"), other.get(name, "0")
             if was != value:
                 found[f"{name} {was} (now {value})"] = None
-    more = [f"{len(found) - _LISTED} more"] if len(found) > _LISTED else []
-    return ", ".join([*list(found)[:_LISTED], *more])
+    return ", ".join(found)
 
 
 def _in_words(sand: Mapping[str, Any]) -> tuple[dict[str, str], dict[str, str]]:

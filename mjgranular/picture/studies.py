@@ -61,41 +61,37 @@ def draw_study(
     varied: Sequence[str],
     outcomes: Sequence[Axis],
     *,
-    joined: bool,
     title: str = "",
 ) -> None:
-    """Draw two outcomes against one varied field, or over two.
+    """Draw two outcomes against one varied field, or over a grid of two.
 
     `columns` are those of the table, with None for missing values; `varied` has the names of one or
-    two of them. `joined` says whether the values form a grid.
+    two of them.
     """
     inputs = [axis_of(name) for name in varied]
     if len(inputs) == 1:
         labels = (one.label for one in outcomes)
         with panels(path, (6.4, 6.0), title, inputs[0].label, *labels) as axes:
             for axis, outcome in zip(axes, outcomes, strict=True):
-                _draw_line(axis, columns, inputs[0], outcome, joined=joined)
+                _draw_line(axis, columns, inputs[0], outcome)
         return
     with figure(path, 9.6, 4.2, title) as drawn:
         axes = drawn.subplots(1, 2, sharey=True)
         for axis, outcome in zip(axes, outcomes, strict=True):
-            colors = _draw_over(axis, columns, inputs, outcome, joined=joined)
+            colors = _draw_over(axis, columns, inputs, outcome)
             drawn.colorbar(colors, ax=axis, label=outcome.label)
             axis.set_xlabel(inputs[0].label)
         axes[0].set_ylabel(inputs[1].label)
 
 
-def _draw_line(
-    axes: Any, columns: Mapping[str, Sequence[Any]], x: Axis, y: Axis, *, joined: bool
-) -> None:
+def _draw_line(axes: Any, columns: Mapping[str, Sequence[Any]], x: Axis, y: Axis) -> None:
     at, names = _places(columns[x.column])
     values = _numbers(columns[y.column]) * y.scale
-    if joined and names is None:
+    if names is None:
         order = np.argsort(at, kind="stable")
         axes.plot(at[order], values[order], color=_BLUE, marker="o", markersize=3.5)
     else:
-        axes.scatter(at, values, s=12 if joined or len(at) < 1000 else 3, color=_BLUE)
-    if names is not None:
+        axes.scatter(at, values, s=12, color=_BLUE)
         axes.set_xticks(range(len(names)), names)
 
 
@@ -104,21 +100,15 @@ def _draw_over(
     columns: Mapping[str, Sequence[Any]],
     inputs: Sequence[Axis],
     outcome: Axis,
-    *,
-    joined: bool,
 ) -> Any:
     """Draw colors over the plane of two fields; return the mappable for a color bar."""
     (x, x_names), (y, y_names) = (_places(columns[one.column]) for one in inputs)
     values = _numbers(columns[outcome.column]) * outcome.scale
-    if joined:
-        rows, across = np.unique(y), np.unique(x)
-        cells = np.full((len(rows), len(across)), np.nan)
-        cells[np.searchsorted(rows, y), np.searchsorted(across, x)] = values
-        drawn = axes.pcolormesh(across, rows, cells, shading="nearest", cmap="viridis")
-        axes.grid(visible=False)
-    else:
-        size = 18 if len(x) < 1000 else 4
-        drawn = axes.scatter(x, y, c=values, s=size, cmap="viridis")
+    rows, across = np.unique(y), np.unique(x)
+    cells = np.full((len(rows), len(across)), np.nan)
+    cells[np.searchsorted(rows, y), np.searchsorted(across, x)] = values
+    drawn = axes.pcolormesh(across, rows, cells, shading="nearest", cmap="viridis")
+    axes.grid(visible=False)
     for names, put in ((x_names, axes.set_xticks), (y_names, axes.set_yticks)):
         if names is not None:
             put(range(len(names)), names)

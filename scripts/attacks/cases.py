@@ -19,17 +19,15 @@ class Result:
 
     Attributes:
         counts: how often each check was made, by its name.
-        failures: the worst failure of each check, in words.
+        failures: the first failure of each check, in words.
     """
 
     counts: Counter[str] = field(default_factory=Counter)
     failures: dict[str, str] = field(default_factory=dict)
-    _worst: dict[str, float] = field(default_factory=dict)
 
-    def fail(self, check: str, text: str, value: float = 0.0) -> None:
-        """Record a failure, unless a worse one of the same check is known."""
-        if check not in self.failures or value > self._worst[check]:
-            self.failures[check], self._worst[check] = text, value
+    def fail(self, check: str, text: str) -> None:
+        """Record a failure, unless one of the same check is known."""
+        self.failures.setdefault(check, text)
 
 
 @dataclass
@@ -45,7 +43,6 @@ class ModelCase:
         events: lines of Python by the step before which they run, as pairs.
         steps: number of steps.
         settled: step from which everything must be at rest; None for no such step.
-        bare: step without sand, to find whether a crash is MuJoCo's.
     """
 
     xml: str
@@ -56,7 +53,6 @@ class ModelCase:
     events: list[tuple[int, str]] = field(default_factory=list)
     steps: int = 0
     settled: int | None = None
-    bare: bool = False
 
     def describe(self) -> str:
         """Return the case in lines that can be pasted into a script."""

@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import copy
 import warnings
-from argparse import Namespace
 from typing import Any
 
 import mujoco
@@ -27,6 +26,7 @@ import numpy as np
 from attacks import measure, motions
 from attacks.cases import ModelCase, Result, arguments
 from attacks.measure import JOULES, STATE
+from attacks.motions import draw as draw
 
 from mjgranular import Bed, GranularError, Sand, UnstableError
 from mjgranular.engine import add_sand
@@ -44,13 +44,6 @@ _BAD = [int(getattr(mujoco.mjtWarning, f"mjWARN_BAD{what}")) for what in ("QPOS"
 _RK4 = int(mujoco.mjtIntegrator.mjINT_RK4)
 _DISCRETE = int(getattr(mujoco.mjtIntegrator, "mjINT_DISCRETE", -1))
 _PGS, _IPC = int(mujoco.mjtSolver.mjSOL_PGS), int(mujoco.mjtEnableBit.mjENBL_IPC)
-
-
-def draw(seed: int, number: int, options: Namespace) -> ModelCase:
-    """Draw a model and its events, with the requested laws and kind of events."""
-    case = motions.draw(seed, number, options)
-    case.bare = options.bare
-    return case
 
 
 def run(case: ModelCase) -> Result:
@@ -86,8 +79,7 @@ class Walk:
         self.start = measure.state_of(self.model, self.data)
         self.sand: Sand | None = None
         self.inside: mujoco.MjModel | None = None
-        if not case.bare:
-            self.make_both()
+        self.make_both()
         self.implicit = self.sand is not None and "implicit" in self.sand.scheme.name
         made = [model for model in (self.model, self.inside) if model is not None]
         self.originals = [(model, copy.copy(model)) for model in made]
@@ -116,7 +108,7 @@ class Walk:
 
     def run(self) -> None:
         """Step with events, until all steps are made or too much went wrong."""
-        if not self.case.bare and self.sand is None and self.inside is None:
+        if self.sand is None and self.inside is None:
             return
         events = [*self.case.events]
         for step in range(self.case.steps):
@@ -145,9 +137,6 @@ class Walk:
 
     def take_step(self) -> None:
         """Take one step with each interface, from the same state."""
-        if self.case.bare:
-            mujoco.mj_step(self.model, self.data)
-            return
         before, speed = measure.state_of(self.model, self.data), self.data.qvel.copy()
         outcome = None
         if self.inside is not None:
@@ -275,7 +264,7 @@ class Walk:
         if apart <= 1e-13 or apart <= ALIKE * scale:
             return
         if apart > 10.0 * measure.sensitivity(model, self.inner, before, scale / max(h, 1e-12)):
-            self.fail("interfaces", f"apart by {apart:.3g} of {scale:.3g}", apart / scale)
+            self.fail("interfaces", f"apart by {apart:.3g} of {scale:.3g}")
 
     def weigh(
         self,
@@ -302,8 +291,7 @@ class Walk:
             self.solved += 1
             if measure.vanishes_if_solved(self.model, self.case.sand, before):
                 return work
-        text = f"{work:.3g} J in a step, of {kinetic:.3g} J"
-        self.fail("energy", text, work / max(kinetic, JOULES))
+        self.fail("energy", f"{work:.3g} J in a step, of {kinetic:.3g} J")
         return work
 
     def sum_work(self, work: float, speed: np.ndarray) -> None:
@@ -315,7 +303,7 @@ class Walk:
         self.result.counts["energy, summed"] += 1
         if self.given > OF_KINETIC * self.energy + self.step * JOULES:
             text = f"{self.given:.3g} J since step {self.begun}, of {self.energy:.3g} J"
-            self.fail("energy, summed", text, self.given / max(self.energy, JOULES))
+            self.fail("energy, summed", text)
 
     def watch_rest(self) -> None:
         """Check that bodies at rest stay at rest."""
@@ -328,7 +316,7 @@ class Walk:
         elif self.still:
             self.result.counts["rest"] += 1
             if fastest > MOVED:
-                self.fail("rest", f"{fastest:.3g} m/s", fastest)
+                self.fail("rest", f"{fastest:.3g} m/s")
 
     def impossible(self, model: mujoco.MjModel, *, inside: bool) -> str:
         """Return the integrator if it cannot be stepped with this sand, else an empty string."""
@@ -348,9 +336,9 @@ class Walk:
                 return
         self.fail("errors", f"mujoco.FatalError: {error}")
 
-    def fail(self, check: str, text: str, value: float = 0.0) -> None:
+    def fail(self, check: str, text: str) -> None:
         """Record a failure with its step."""
-        self.result.fail(check, f"step {self.step}: {text}", value)
+        self.result.fail(check, f"step {self.step}: {text}")
 
     def recover(self) -> None:
         """Start over, with the original model."""

@@ -244,7 +244,7 @@ def run(case: ModelCase) -> Result:
     def check(name: str, off: float, most: float) -> None:
         result.counts[name] += 1
         if off > most:
-            result.fail(name, f"{off:.3g} of the speed apart", off)
+            result.fail(name, f"{off:.3g} of the speed apart")
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

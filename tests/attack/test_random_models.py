@@ -115,7 +115,7 @@ def test_every_event_has_a_meaning():
     data = mujoco.MjData(model)
     rng = np.random.default_rng(0)
     names = {"model": model, "data": data, "mujoco": mujoco, "np": np}
-    for name in (*lists, "CALM_FLAGS"):
+    for name in lists:
         for line in getattr(motions, name):
             exec(motions.seeded(rng, line), names)
     options = Namespace(short=False, laws=None, kind=None, steps=10)

@@ -88,12 +88,9 @@ def test_constants_come_back(two_speeds):
 
 def test_a_run_that_was_held_out_is_predicted(two_speeds):
     errors = two_speeds.held_out["2.0 m/s"]
-    _, depth, stop = fall(2.0)
     assert errors.depth == pytest.approx(0.0, abs=0.002)
     assert errors.stopping_time == pytest.approx(0.0, abs=0.02)
     assert errors.trajectory < 0.002
-    assert errors.measured_depth == pytest.approx(depth.max(), rel=1e-6)
-    assert errors.measured_stopping_time == pytest.approx(stop, rel=0.03)
 
 
 def test_drops_of_one_speed_leave_a_null_direction():
@@ -168,13 +165,11 @@ def test_forces_in_two_directions_of_a_turning_leg(tmp_path):
         "medium: {density: 1500, internal_friction: 0.5, surface_friction: 0.4}\n"
         f"runs: [{{name: leg, kind: turn, speed: 0.2, data: leg.csv, body: {{file: {leg}}}}}]\n"
     )
-    fit = read_fit(file, law="rft3d", free=["strength", "surface_friction"])
-    result = run_fit(fit)
+    result = run_fit(read_fit(file, law="rft3d", free=["strength", "surface_friction"]))
     assert result.values["strength"] == pytest.approx(1.3, rel=1e-4)
     assert result.values["surface_friction"] == pytest.approx(0.25, rel=1e-3)
     assert all(result.identifiable.values())
     assert {curve.quantity for curve in result.curves["leg"]} == {"force", "lift"}
-    assert fit.config()["runs"][0]["body"] == str(leg)
 
 
 def test_lift_of_a_drag_counts():

@@ -1,6 +1,5 @@
 """The command line: its contract, its files, and one clear sentence for every mistake."""
 
-import csv
 import json
 import os
 import signal
@@ -68,7 +67,6 @@ def test_impact_writes_what_it_promises(tmp_path, capfd):
         "forces.png",
         "motion.png",
         "summary.json",
-        "trajectory.csv",
         "trajectory.npz",
     ]
     config = json.loads((folder / "config.json").read_text())
@@ -81,11 +79,6 @@ def test_impact_writes_what_it_promises(tmp_path, capfd):
         assert arrays["y_T"][0] == 0
         assert arrays["y_T"].max() == pytest.approx(summary["depth"], rel=1e-4)
         assert (arrays["power"] <= 0).all()
-        with (folder / "trajectory.csv").open() as file:
-            table = list(csv.reader(file))
-        assert table[0][:2] == ["t [s]", "x [m]"]
-        assert len(table) - 1 == len(arrays["t"])
-        assert float(table[-1][0]) == arrays["t"][-1]
 
 
 def test_a_result_is_not_overwritten_unless_told(tmp_path, capfd):
@@ -230,7 +223,7 @@ def test_sweep_over_the_angle_in_degrees(capfd):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--vary", "speed=3:3:2"], ["3.0 to 3.0"]),
+        (["--vary", "speed=3:3:2"], ["both ends", "differ"]),
         (["--vary", "speed=nan:3:2"], ["finite"]),
         (["--vary", "angle=30:100:5"], ["less than 90"]),
         (["--workers", "0"], ["at least 1 worker"]),

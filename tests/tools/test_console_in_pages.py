@@ -86,7 +86,6 @@ def shortened(command):
         return with_options(words, "--total-steps 128") if "--total-steps" in words else words
     if words[0] == "sweep":
         words = words if "--of" in words else [*words, "--of", "impact --timestep 5e-5"]
-        words = with_options(words, "--sample 3") if "--sample" in words else words
     return with_options(words, SHORT.get(words[0], ""))
 
 

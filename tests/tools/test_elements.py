@@ -367,7 +367,7 @@ def test_wrong_groups(foot_file, capfd, command):
 def test_the_command_writes_a_figure(tmp_path, capfd):
     pendulum = ["elements", str(model_path("double_pendulum")), "--law", "link"]
     figure = tmp_path / "deep" / "cut.svg"
-    draw = [*pendulum, "--keyframe", "start", "--figure", str(figure), "--color", "geom"]
+    draw = [*pendulum, "--keyframe", "start", "--figure", str(figure)]
     assert main(draw) == 0
     assert "written to" in capfd.readouterr().out
     assert [path.name for path in figure.parent.iterdir()] == ["cut.svg"]

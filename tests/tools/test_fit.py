@@ -97,10 +97,6 @@ def test_a_medium_that_sand_takes(place, capsys):
     source = medium.constants["depth_velocity"]["constant"].source
     assert "runs.yaml (slow, fast)" in source
     assert "95 % interval" in source
-    written = json.loads((place / "tray.fit.json").read_text())
-    assert written["config"]["free"] == ["strength"]
-    assert written["config"]["runs"][0]["data"] == "slow.csv"
-    assert written["result"]["values"]["strength"] == pytest.approx(2.0, rel=2e-3)
     with Image.open(place / "tray.fit.png") as figure:
         assert figure.size[0] > 500
     # Nothing that is there is lost.
@@ -115,14 +111,14 @@ def test_a_medium_of_rft3d_carries_the_strength(place, model_of_a_ball, capsys):
     medium = "{base: quikrete_medium, surface_friction: 0.3}"
     runs(place, medium)
     command = ["fit", "runs.yaml", "--free", "strength", "--hold-out", "fast", "--out", "m.yaml"]
-    assert main(command) == 0
+    assert main([*command, "--json"]) == 0
+    strength = json.loads(capsys.readouterr().out)["values"]["strength"]
     constants = get_medium("m.yaml").constants["rft3d_dynamic"]
     assert constants["surface_friction"].value == 0.3
     assert constants["internal_friction"].source == (
         get_medium("quikrete_medium").constants["rft3d"]["internal_friction"].source
     )
     sand = Sand(model_of_a_ball, medium="m.yaml")
-    strength = json.loads((place / "m.fit.json").read_text())["result"]["values"]["strength"]
     before = DynamicRft3dLaw.from_medium("quikrete_medium").scale
     assert sand.law.scale == pytest.approx(strength * before)
     assert strength != 1.0

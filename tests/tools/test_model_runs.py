@@ -131,7 +131,6 @@ def test_drop_prints_and_writes(ball, tmp_path, capfd):
         "config.json",
         "drop.png",
         "summary.json",
-        "trajectory.csv",
         "trajectory.npz",
     ]
     assert main([*arguments, "--out", str(folder)]) == 2

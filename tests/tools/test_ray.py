@@ -12,7 +12,7 @@ import pytest
 from mjgranular._util.versions import versions
 from mjgranular.envs.rllib import register_env
 from mjgranular.errors import InputError, MissingExtraError
-from mjgranular.experiment import Between, Impact, Study, journal_of, run_study
+from mjgranular.experiment import Impact, Study, journal_of, run_study
 from mjgranular.pool import Workers, map_tasks, on_ray
 
 ray = pytest.importorskip("ray", reason="the extra ray is not installed")
@@ -22,8 +22,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::ResourceWarn
 
 STUDY = Study(
     Impact(timestep=1e-4, duration=0.05),
-    {"speed": Between(1.0, 3.0), "law.eta_v": Between(18.0, 26.0)},
-    sample=24,
+    {"speed": [1.0, 1.5, 2.0, 2.2, 2.5, 3.0], "law.eta_v": [18.0, 20.0, 23.0, 26.0]},
 )
 
 

@@ -141,9 +141,7 @@ drop block.xml floor.xml | Unrecognized options: floor.xml
 view block.xml --speed 0 | the speed must be positive and finite
 view block.xml --draw arrows | invalid choice 'arrows' for argument '--draw'. Expected one of
 elements block.xml --figure block.bmp | a figure is written as .png, .svg or .pdf, not
-elements block.xml --color geom | --color is for a figure: add --figure FILE
 elements block.xml --figure old | a figure is written as .png, .svg or .pdf, not
-elements block.xml --color red | invalid choice 'red' for argument '--color'. Expected one of
 elements block.xml --law link --medium glass_beads | no constants in medium 'glass_beads' for law
 impact --speed -1 | the downward speed of T must not be negative
 impact --angle 90 | the angle from the vertical must be less than 90 degrees
@@ -163,7 +161,7 @@ intrude --model block.xml --geom foot | no geom of the model 'foot'; there are:
 intrude --model floor.xml --geom floor | geom 'floor' is fixed to the world
 intrude --model block.xml --intruder sphere | the intruder is a shape or of a model: omit --model
 sweep --vary mass=1,2 | no field to vary 'mass'; there are:
-sweep --vary speed=2:2:3 | a range goes from its lower to its upper end
+sweep --vary speed=2:2:3 | speed=2:2:3: both ends must be finite, and differ
 sweep --vary speed=1:2:1 | 2 to 1000000 values
 render nowhere | nowhere holds no saved run (nowhere/config.json cannot be
 render old | old holds no saved run (config.json
@@ -194,7 +192,7 @@ train quad:Nope-v0 | no environment 'quad:Nope-v0' ... importing quad has regist
 train qaud:Quad-v0 | no module 'qaud'; there are: error, quad ... did you mean quad?
 train error:Quad-v0 | the module 'error' of the environment error:Quad-v0 cannot be imported
 train CartPole-v1 --algorithm dqn | no algorithm 'dqn'; there are: ppo, sac,
-train mjgranular/LinkDrop-v0 --algorithm dqn | no algorithm 'dqn'; there are: ppo, sac, td3
+train mjgranular/ChainSwim-v0 --algorithm dqn | no algorithm 'dqn'; there are: ppo, sac, td3
 train CartPole-v1 --total-steps 0 | total_steps must be ... 0
 train CartPole-v1 --total-steps 1.5 | integer ... '1.5'
 train CartPole-v1 --seed -1 | seed must be ... from 0 to 2147483647
@@ -230,9 +228,7 @@ intrude --tilt 400 | the tilt must be within 180 degrees (pi = 3.1416 rad) eithe
 intrude --direction 400 | the direction must be within 180 degrees (pi = 3.1416 rad)
 intrude --depth 0.05 --distance 0.2 | --depth and --distance both
 impact --body sphere | capsules and cylinders; take a medium whose own law takes every shape
-impact --memory 1cm | memory, the side of a cell, must be a number, not '1cm'
 drop block.xml --geoms block --bodies blck | no body of the model 'blck' ... did you mean block?
-train CartPole-v1 --set environment.render_mode=human | environment.render_mode
 evaluate Hexapod-v0/ppo-0 --seeds 0 | seeds must be at least 1, not 0
 """
 _FRAME = str.maketrans("╭╮╰╯│─", " " * 6)  # around the parser's own messages
