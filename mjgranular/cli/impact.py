@@ -15,6 +15,7 @@ from mjgranular.experiment.folder import RUN_FILES, write_impact
 from mjgranular.experiment.trajectory import Trajectory
 from mjgranular.picture.figures import draw_forces, draw_motion
 from mjgranular.picture.video import Film, frames_of_run
+from mjgranular.render import Tracks
 
 FIGURES = ("motion.png", "forces.png")
 VIDEO = "impact.mp4"
@@ -114,15 +115,19 @@ def _draw(folder: ResultFolder, result: ImpactResult, film: Film | None) -> list
         for name, draw in zip(FIGURES, (draw_motion, draw_forces), strict=True):
             folder.write(name, lambda path, draw=draw: draw(path, result.trajectory, **options))
     if film is not None:
-        frames = film_impact(result.impact, result.trajectory, summary, film)
+        frames = film_impact(result.impact, result.trajectory, summary, film, result.prints)
         with collected(problems):
             write_film(folder, VIDEO, film, frames)
     return problems
 
 
 def film_impact(
-    impact: Impact, trajectory: Trajectory, summary: dict[str, Any], film: Film
+    impact: Impact,
+    trajectory: Trajectory,
+    summary: dict[str, Any],
+    film: Film,
+    prints: Tracks | None = None,
 ) -> Frames:
     """Return a function for the frames of a film of a drop."""
-    stop = release_to_stop(summary)
-    return partial(frames_of_run, film, impact.link, trajectory, stop=stop)
+    options = {"stop": release_to_stop(summary), "prints": prints, "sand": impact.described}
+    return partial(frames_of_run, film, impact.link, trajectory, **options)

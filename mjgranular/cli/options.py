@@ -131,6 +131,9 @@ def _annotated(hint: Any, text: str) -> Any:
     if hint is bool:
         return Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help=text)]
     kinds = typing.get_args(hint) if isinstance(hint, types.UnionType) else (hint,)
+    if float in kinds and str in kinds:  # strings, which may contain a number
+        kinds = tuple(kind for kind in kinds if kind is not float)
+        hint = str | None if type(None) in kinds else str
     plain = next(kind for kind in kinds if kind is not type(None))
     if typing.get_origin(plain) is typing.Literal:
         return Annotated[hint, tyro.conf.arg(help=text)]

@@ -81,9 +81,9 @@ class RenderCommand(options_of(Film, "seconds", "width", "height", "fps")):
         return saved_command(self.run_folder)
 
     def _impact(self, film: Film) -> tuple[Film, Frames]:
-        experiment, summary, trajectory = read_impact(self.run_folder)
+        experiment, summary, trajectory, prints = read_impact(self.run_folder)
         film.check(experiment.link)
-        return film, impact.film_impact(experiment, trajectory, summary, film)
+        return film, impact.film_impact(experiment, trajectory, summary, film, prints)
 
     def _model(self, film: Film) -> tuple[Film, Frames]:
         experiment, arrays = read_drop(self.run_folder)

@@ -25,7 +25,7 @@ def write_impact(folder: ResultFolder, result: ImpactResult) -> None:
     """Write an impact: configuration, trajectory and summary, at once."""
     config = {**asdict(result.impact), "law": result.law}
     with folder.published("impact", config, result.summary(), unfinished=True):
-        folder.write(_NPZ, result.trajectory.write_npz)
+        folder.write(_NPZ, lambda path: result.trajectory.write_npz(path, result.prints))
 
 
 _DROP_ARRAYS = ("t", "qpos", "qvel", "depth", "point", "force", "power")
@@ -85,10 +85,10 @@ def prints_of(arrays: dict[str, np.ndarray]) -> Tracks | None:
     return Tracks.from_arrays(arrays) if Tracks.names()[0] in arrays else None
 
 
-def read_impact(path: Path) -> tuple[Impact, dict[str, Any], Trajectory]:
-    """Read a saved impact: options, summary, trajectory."""
+def read_impact(path: Path) -> tuple[Impact, dict[str, Any], Trajectory, Tracks | None]:
+    """Read a saved impact: options, summary, trajectory, and the tracks in sand with memory."""
 
-    def read() -> tuple[Impact, dict[str, Any], Trajectory]:
+    def read() -> tuple[Impact, dict[str, Any], Trajectory, Tracks | None]:
         config = read_json(files.latest_path(path, CONFIG))
         if config.get("command") != "impact":
             raise OutputError(
@@ -98,11 +98,10 @@ def read_impact(path: Path) -> tuple[Impact, dict[str, Any], Trajectory]:
         summary = read_json(files.latest_path(path, SUMMARY))
         for name in ("touchdown_time", "stopping_time"):
             number(summary, name, path / SUMMARY)
-        options = config.get("config")
-        if isinstance(options, dict):
-            options.pop("memory", None)  # of version 0.3
-        impact = Impact(**checked_fields(Impact, options, path / CONFIG))
-        return impact, summary, Trajectory.read_npz(files.latest_path(path, _NPZ))
+        impact = Impact(**checked_fields(Impact, config.get("config"), path / CONFIG))
+        file = files.latest_path(path, _NPZ)
+        prints = prints_of(read_arrays(file, Tracks.names())) if Tracks.are_in(file) else None
+        return impact, summary, Trajectory.read_npz(file), prints
 
     with _saved(path, "impact"):
         return files.read_consistent(path, CONFIG, read)

@@ -10,13 +10,15 @@ import numpy as np
 
 from mjgranular._util.checks import check_kind, is_finite, kind_of
 from mjgranular.errors import InputError, UnstableError, listed, shown, warn_user
-from mjgranular.experiment.sampling import REST_WINDOW, Recorder, RestWatch, StopWatch
+from mjgranular.experiment.sampling import REST_WINDOW, Recorder, RestWatch, Sampler, StopWatch
 from mjgranular.experiment.trajectory import Trajectory, degrees
 from mjgranular.law import get_law
 from mjgranular.law.link import LINK_KEYS, DistributedLinkLaw, LinkLaw
 from mjgranular.medium import get_medium
 from mjgranular.models import Projectile
 from mjgranular.models.projectile import Shape
+from mjgranular.relief.memory import Memory, as_memory
+from mjgranular.render import Tracks
 from mjgranular.sand import Sand, SandSpec
 from mjgranular.sand.work import WorkMeter
 from mjgranular.scheme import get_scheme
@@ -32,7 +34,7 @@ _UNCHANGED = ("tangential_speed", "angular_velocity", "height", "length", "diame
 class Impact:
     """A drop of the link, SI units and radians. The defaults are the paper's first case.
 
-    `law` is that of `PlainSand`.
+    `law` and `memory` are those of `PlainSand`.
 
     Attributes:
         speed: velocity of the lower end T at release, down [m/s].
@@ -68,6 +70,7 @@ class Impact:
     until: Until = "stop"
     duration: float = 2.0
     body: Shape = "link"
+    memory: str | float | None = None
 
     def __post_init__(self) -> None:
         for name in ("speed", "angle", "tangential_speed", "angular_velocity", "height"):
@@ -93,6 +96,11 @@ class Impact:
         if not isinstance(self.law, str | None) or not isinstance(self.medium, str):
             what = self.medium if isinstance(self.law, str | None) else self.law
             raise InputError(f"medium and law of an impact must be names, got {kind_of(what)}")
+        if isinstance(self.memory, Memory):
+            raise InputError(
+                "memory of an impact must be the side of a cell [m], or words 'cell=0.005 extent=1'"
+            )
+        as_memory(self.memory)
         _ = self.link
         medium = get_medium(self.medium)
         get_law(self.law, medium)
@@ -115,7 +123,13 @@ class Impact:
 
     @property
     def described(self) -> SandSpec:
-        return SandSpec(medium=self.medium, law=self.law, scheme=self.scheme_taken, bodies="link")
+        return SandSpec(
+            medium=self.medium,
+            law=self.law,
+            scheme=self.scheme_taken,
+            bodies="link",
+            memory=self.memory,
+        )
 
     def largest_step(self) -> float:
         """Return the largest time step for which the drag is sure not to overshoot [s].
@@ -185,6 +199,7 @@ class ImpactResult:
         trajectory: the samples.
         steps: number of steps taken.
         greatest_force: of the sand, over all steps [N].
+        prints: tracks in the sand; None for sand without memory.
     """
 
     impact: Impact
@@ -195,6 +210,7 @@ class ImpactResult:
     trajectory: Trajectory
     steps: int
     greatest_force: float
+    prints: Tracks | None = None
 
     def summary(self) -> dict[str, Any]:
         """Return the result in plain numbers, SI units; names with `_deg` are in degrees."""
@@ -228,6 +244,7 @@ class ImpactResult:
 # Energy that the sand may seem to give before the run is ended, over the energy there was to
 # begin with. A passive medium gives none; the explicit sign of the static force a little.
 _ENERGY_MARGIN = 0.05
+_TRACKS_FOR = 0.4  # tracks are recorded as often as over a whole run of that duration [s]; chosen
 _PROGRESS_STEPS = 5000  # between two calls of `progress`
 
 
@@ -280,6 +297,7 @@ class _Run:
         self.stop: Stop | None = None
         self.rest: Rest | None = None
         self.steps = 0
+        self.sampler = Sampler(self.sand, self.data, _TRACKS_FOR)
         self.meter = WorkMeter(self.sand, self.data)
         self.before_stop = Recorder(7)
         self.after_stop = Recorder(7)
@@ -305,11 +323,13 @@ class _Run:
         if going and impact.until == "rest":
             self._come_to_rest(total, progress)
         self.check_energy()
+        self.sampler.look(self.time, last=True)
 
     def _step(self, progress: Callable[[float], None] | None) -> None:
         self.sand.step(self.data)
         self.steps += 1
         self.meter.add()
+        self.sampler.look(self.time)
         if progress is not None and self.steps % _PROGRESS_STEPS == 0:
             progress(self.time)
 
@@ -357,8 +377,7 @@ class _Run:
 
     def sample(self, recorder: Recorder) -> None:
         self.check_energy()
-        report = self.sand.report(self.data).bodies
-        recorder.take(self.time, self.data.qpos, self.data.qvel, report=report)
+        self.sampler.take(self.time, recorder)
 
     def _ends(self) -> np.ndarray:
         """Return both ends of the link, x and z of each [m], shape (4,)."""
@@ -400,4 +419,5 @@ class _Run:
             trajectory=Trajectory.from_states(rows, self.link, self.gravity, bodies, self.point),
             steps=self.steps,
             greatest_force=float(max(self.meter.force[0], np.linalg.norm(bodies[-1].force))),
+            prints=self.sampler.tracks(),
         )

@@ -30,6 +30,7 @@ from mjgranular.relief.memory import as_memory
 from mjgranular.render import Tracks
 from mjgranular.render.material import moving_geoms
 from mjgranular.render.scenery import add_cut_scenery, place_sun
+from mjgranular.sand import SandSpec
 from mjgranular.sand.prepare import fitted
 from mjgranular.surface import Surface
 
@@ -108,13 +109,18 @@ def frames_of_run(
     trajectory: Trajectory,
     *,
     stop: float | None,
+    prints: Tracks | None = None,
+    sand: SandSpec | None = None,
 ) -> Frames:
     """Return the pictures of a run of a link, slowed down up to the stop, and after it."""
     film.check(link)
     spec = link.spec()
-    add_cut_scenery(spec, link.reach)
+    shown = None if prints is None or sand is None else as_memory(sand.memory)
+    add_cut_scenery(spec, link.reach, shown)
     model = spec.compile()
     place_sun(model)
+    memory = None if sand is None else as_memory(fitted(model, sand).memory)
+    covered = None if prints is None or memory is None else (prints, memory)
     run, zero = trajectory, np.zeros(len(trajectory))
     # In front of the link, so that the link does not hide the arrow.
     point = np.stack([run.x_E, zero - 0.8 * link.diameter, -run.y_E], axis=1)
@@ -126,7 +132,7 @@ def frames_of_run(
     times = [time for phase in pairwise(ends) for time in _times(film, *phase, film.seconds)]
     times += times[-1:] * round(film.hold * film.fps)
     view = View(np.zeros(3), link.reach)
-    return len(times), _render(film, model, motion, times, view, None, None)
+    return len(times), _render(film, model, motion, times, view, None, covered)
 
 
 def frames_of_model(
@@ -295,7 +301,11 @@ def _pictures(film: Any, fps: int, seconds: float, camera: str | None) -> list[n
     if isinstance(film, ImpactResult):
         options = Film(camera=camera or "side", fps=fps, seconds=seconds)
         stop = None if film.stop is None else (film.touchdown or 0.0) + film.stop.time
-        return list(frames_of_run(options, film.impact.link, film.trajectory, stop=stop)[1])
+        impact, run, prints = film.impact, film.trajectory, film.prints
+        drawn = frames_of_run(
+            options, impact.link, run, stop=stop, prints=prints, sand=impact.described
+        )
+        return list(drawn[1])
     try:
         pictures = [np.asarray(picture) for picture in film]
     except (TypeError, ValueError, UnknownNameError):  # not a sequence, nor a known result

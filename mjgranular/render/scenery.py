@@ -3,7 +3,10 @@
 import mujoco
 import numpy as np
 
+from mjgranular.relief import Memory
+from mjgranular.render import add_skin
 from mjgranular.render.material import add_material, paint, radius_of
+from mjgranular.render.skin import BLOCK, lines_of, stride_of
 from mjgranular.surface import Bed, HeightField, Surface
 
 _SUN = "mjgranular_sun"
@@ -71,10 +74,10 @@ def add_daylight(spec: mujoco.MjSpec) -> None:
     spec.visual.quality.shadowsize = _SHADOWS
 
 
-def add_cut_scenery(spec: mujoco.MjSpec, reach: float) -> None:
+def add_cut_scenery(spec: mujoco.MjSpec, reach: float, memory: Memory | None) -> None:
     """Add daylight to the model of a link, and extend its bed, which is cut open, to the horizon.
 
-    `reach` is the largest extent of the link [m].
+    `reach` is the largest extent of the link [m]. With memory the tracks are drawn.
     """
     add_daylight(spec)
     spec.delete(spec.geom("table"))
@@ -83,6 +86,30 @@ def add_cut_scenery(spec: mujoco.MjSpec, reach: float) -> None:
     front = bed.pos[1] - bed.size[1]
     bed.size = [half] * 3  # a cube: MuJoCo stretches the texture of other boxes
     bed.pos = [0.0, front + half, -half]
+    if memory is not None:
+        _add_cut_prints(spec, bed, memory)
+
+
+def _add_cut_prints(spec: mujoco.MjSpec, bed: mujoco.MjsGeom, memory: Memory) -> None:
+    """Add the skin for tracks, and reduce the bed to what it draws; boxes draw the rest."""
+    add_skin(spec, memory, bed.material, thickness=2 * float(bed.size[2]))
+    reach = (lines_of(memory) - 4 * BLOCK - 1) * stride_of(memory) * memory.cell / 2
+    front, back = bed.pos[1] - bed.size[1], bed.pos[1] + bed.size[1]
+    end, wide = float(bed.size[0]), min(reach, float(bed.size[0]))
+    deep = min(front + 2 * reach, back)
+    beside = [((-end, -wide), (front, back)), ((wide, end), (front, back))]
+    for (left, right), (near, far) in (*beside, ((-wide, wide), (deep, back))):
+        if right - left > 1e-6 and far - near > 1e-6:
+            spec.worldbody.add_geom(
+                type=mujoco.mjtGeom.mjGEOM_BOX,
+                pos=[(left + right) / 2, (near + far) / 2, bed.pos[2]],
+                size=[(right - left) / 2, (far - near) / 2, bed.size[2]],
+                material=bed.material,
+                contype=0,
+                conaffinity=0,
+                group=bed.group,
+            )
+    bed.size[:2], bed.pos[1] = (wide, (deep - front) / 2), (front + deep) / 2
 
 
 def place_sun(model: mujoco.MjModel) -> None:

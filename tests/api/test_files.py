@@ -294,7 +294,7 @@ def test_a_reader_sees_one_result_while_it_is_replaced(tmp_path, monkeypatch):
         return read_arrays(file, names, **options)
 
     monkeypatch.setattr("mjgranular.experiment.trajectory.read_arrays", arrays)
-    impact, summary, trajectory = read_impact(folder)
+    impact, summary, trajectory, _ = read_impact(folder)
     assert impact.speed == summary["speed"] == 4.0
     assert trajectory.v_Ty[0] == pytest.approx(4.0, rel=1e-2)
     assert calls == 2

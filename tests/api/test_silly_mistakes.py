@@ -685,6 +685,10 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
         lambda: Drop(MODEL),  # pyright: ignore[reportArgumentType]
         "a drop is of an MJCF file, Drop('robot.xml') ... a MjModel ... use Sand",
     ),
+    "memory of an impact": (
+        lambda: Impact(memory=mg.Memory()),  # pyright: ignore[reportArgumentType]
+        "memory of an impact must be the side of a cell [m], or words",
+    ),
     "path for a fit": (
         lambda: run_fit("runs.yaml"),  # pyright: ignore[reportArgumentType]
         "run_fit takes a Fit, not 'runs.yaml'; use read_fit('runs.yaml', free=[...])",

@@ -96,7 +96,7 @@ def read_everything(folder: Path) -> None:
     small = {"seconds": 0.1, "width": 32, "height": 32}
 
     def impact() -> None:
-        done, summary, trajectory = read_impact(folder)
+        done, summary, trajectory, _ = read_impact(folder)
         stop = release_to_stop(summary)
         count, _ = frames_of_run(Film(**small), done.link, trajectory, stop=stop)
         assert count < 10_000

@@ -84,7 +84,7 @@ def impact() -> Command:
     known: dict[float, Any] = {}
 
     def result() -> Any:
-        done, summary, trajectory = read_impact(OUT)  # at least the old one
+        done, summary, trajectory, _ = read_impact(OUT)  # at least the old one
         assert done.speed == summary["speed"]
         return done, summary, trajectory.table().tobytes()
 

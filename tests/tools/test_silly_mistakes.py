@@ -228,6 +228,7 @@ intrude --tilt 400 | the tilt must be within 180 degrees (pi = 3.1416 rad) eithe
 intrude --direction 400 | the direction must be within 180 degrees (pi = 3.1416 rad)
 intrude --depth 0.05 --distance 0.2 | --depth and --distance both
 impact --body sphere | capsules and cylinders; take a medium whose own law takes every shape
+impact --memory 1cm | memory, the side of a cell, must be a number, not '1cm'
 drop block.xml --geoms block --bodies blck | no body of the model 'blck' ... did you mean block?
 evaluate Hexapod-v0/ppo-0 --seeds 0 | seeds must be at least 1, not 0
 """
