@@ -4,7 +4,7 @@ import gymnasium as gym
 
 from mjgranular._util.checks import kind_of
 from mjgranular.envs.chains import ChainCrawl, ChainSwim
-from mjgranular.envs.gym_robots import Ant, HalfCheetah, Hopper, Walker2d
+from mjgranular.envs.gym_robots import Ant, HalfCheetah, Hopper, Humanoid, Walker2d
 from mjgranular.envs.hexapod import Hexapod
 from mjgranular.envs.task import Task, tasks
 from mjgranular.envs.velocity import G1Velocity, Go1Velocity, Go2Velocity
@@ -15,7 +15,7 @@ VERSION = 0
 
 _OURS: tuple[type[Task], ...] = (
     ChainSwim, ChainCrawl, Hexapod,
-    Hopper, Walker2d, HalfCheetah, Ant,
+    Hopper, Walker2d, HalfCheetah, Ant, Humanoid,
     Go1Velocity, Go2Velocity, G1Velocity,
 )  # fmt: skip
 

@@ -17,7 +17,7 @@ from mjgranular.envs.ids import id_of
 
 SIZE = 320, 240  # [px]
 STEPS = 60
-COLUMNS = 3
+COLUMNS = 5
 # The last two: the same on dunes.
 OURS = [name for name in tasks if "Velocity" not in name]  # their robots are not in the package
 SHOWN = [*((name, "plane") for name in OURS), ("ChainCrawl", "dunes"), ("Hexapod", "dunes")]

@@ -24,7 +24,7 @@ from mjgranular.envs.gym_robots import Hopper
 from mjgranular.envs.ids import id_of
 from mjgranular.law.validity import findings_of, found_at
 
-ROBOTS = ("Hopper", "Walker2d", "HalfCheetah", "Ant")
+ROBOTS = ("Hopper", "Walker2d", "HalfCheetah", "Ant", "Humanoid")
 SECTIONS = (
     "Description",
     "Action Space",
@@ -93,7 +93,7 @@ def test_a_seed_decides_all_and_nothing_is_constant(name):
     for column in np.flatnonzero(np.ptp(seen, axis=0) == 0):
         # Gymnasium's own: quantities of bodies welded to others, and forces on what hangs free.
         # And a command holds for some seconds.
-        assert name in ("Ant", "Go1Velocity", "Go2Velocity", "G1Velocity"), column
+        assert name in ("Ant", "Humanoid", "Go1Velocity", "Go2Velocity", "G1Velocity"), column
 
 
 @pytest.mark.parametrize("name", tasks)
