@@ -63,10 +63,16 @@ def tripod(
     return np.clip(action, -1.0, 1.0)
 
 
+def release(time: float, size: int, *, angle: float = 0.0, spin: float = 0.0) -> np.ndarray:
+    """Return the two actions of a drop."""
+    return np.array([angle, spin])
+
+
 gaits: dict[str, Callable[..., np.ndarray]] = {
     "ChainSwim": travelling_wave,
     "ChainCrawl": partial(travelling_wave, amplitude=0.6, waves=2 / 3),  # moves it forward
     "Hexapod": tripod,
+    "LinkDrop": release,
 }
 """Gaits by the names of their tasks."""
 

@@ -1,4 +1,4 @@
-"""Gymnasium's robots as tasks: Hopper, Walker2d, HalfCheetah, Ant, Humanoid."""
+"""Gymnasium's robots as tasks: Hopper, Walker2d, HalfCheetah, Swimmer, Ant, Humanoid."""
 
 import inspect
 import math
@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 from gymnasium.spaces import Box
 
+from mjgranular import Medium
 from mjgranular.envs.ground import quiet
 from mjgranular.envs.task import Start, State, Task
 
@@ -28,6 +29,16 @@ _AS_THERE = {
     "Arguments": "Those of `{}-v5` but `xml_file` and those of cameras, and those of `Task`.",
     "Version History": "v0: first.",
 }
+
+
+def place_in_plane(state: State) -> dict[str, np.ndarray]:
+    """Return positions of robots over a plane, as in Gymnasium [m], each of shape (n,)."""
+    x, y = state.qpos[:, 0], state.qpos[:, 1]
+    return {
+        "x_position": x.copy(),
+        "y_position": y.copy(),
+        "distance_from_origin": np.sqrt(x * x + y * y),
+    }
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -257,6 +268,60 @@ class HalfCheetah(Robot):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Swimmer(HalfCheetah):
+    """Swim buried in sand with three links.
+
+    ## Description
+    The robot of Gymnasium's `Swimmer-v5`, three rods of 1 m and 0.2 m across, buried 0.3 m deep in
+    loosely packed poppy seed, which takes the place of its fluid. It is free in the level plane at
+    that depth. Motors are ten times as strong as Gymnasium's (1500 N m for an action of one):
+    weaker ones cannot move it. Sand does not let it coast.
+
+    ## Action Space
+    `Box(-1, 1, (2,), float32)`: torques at the two joints.
+
+    ## Observation Space
+    `Box(-inf, inf, (8,), float64)`: angles and velocities, as in `Swimmer-v5`.
+
+    ## Rewards
+    `reward_forward` + `reward_ctrl`, as in `Swimmer-v5`.
+
+    ## Episode End
+    Never terminated. Truncated after 1000 steps.
+    """
+
+    title: ClassVar[str] = "Gymnasium's Swimmer, buried in sand"
+    xml: ClassVar[str] = "swimmer.xml"
+    hidden: ClassVar[int] = 2
+    gaussian: ClassVar[bool] = False
+    cut: ClassVar[float] = 0.4  # it lies on the cut
+    camera: ClassVar[dict[str, Any]] = {"trackbodyid": 2, "distance": 7.0, "elevation": -50.0}
+
+    medium: str | Path | Medium = "poppy_seed_loose"
+    ctrl_cost_weight: float = 1e-4
+    frame_skip: int = 4
+
+    def robot(self) -> mujoco.MjSpec:
+        spec = super().robot()
+        spec.geom("floor").pos = [0, 0, 0.3]
+        for actuator in spec.actuators:
+            actuator.gear[0] = 10 * actuator.gear[0]
+        return spec
+
+    def raise_by(self, qpos: np.ndarray, height: Callable[[float, float], float]) -> None:
+        pass
+
+    def place(self, state: State) -> dict[str, np.ndarray]:
+        return place_in_plane(state)
+
+    def progress(self, before: Any, state: State) -> dict[str, np.ndarray]:
+        return {
+            "x_velocity": self.speed(before, state),
+            "y_velocity": (state.qpos[:, 1] - before[:, 1]) / self.dt,
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
 class _Spatial(Standing):
     """Base of Ant and Humanoid: free in space, with the same terms of reward and cost."""
 
@@ -302,12 +367,7 @@ class _Spatial(Standing):
         return (self.here(state)[:, 0] - before[:, 0]) / self.dt
 
     def place(self, state: State) -> dict[str, np.ndarray]:
-        x, y = state.qpos[:, 0], state.qpos[:, 1]
-        return {
-            "x_position": x.copy(),
-            "y_position": y.copy(),
-            "distance_from_origin": np.sqrt(x * x + y * y),
-        }
+        return place_in_plane(state)
 
     def progress(self, before: Any, state: State) -> dict[str, np.ndarray]:
         x, y = ((self.here(state) - before) / self.dt).T

@@ -4,8 +4,9 @@ import gymnasium as gym
 
 from mjgranular._util.checks import kind_of
 from mjgranular.envs.chains import ChainCrawl, ChainSwim
-from mjgranular.envs.gym_robots import Ant, HalfCheetah, Hopper, Humanoid, Walker2d
+from mjgranular.envs.gym_robots import Ant, HalfCheetah, Hopper, Humanoid, Swimmer, Walker2d
 from mjgranular.envs.hexapod import Hexapod
+from mjgranular.envs.link_drop import LinkDrop
 from mjgranular.envs.task import Task, tasks
 from mjgranular.envs.velocity import G1Velocity, Go1Velocity, Go2Velocity
 from mjgranular.errors import InputError
@@ -14,8 +15,8 @@ NAMESPACE = "mjgranular"
 VERSION = 0
 
 _OURS: tuple[type[Task], ...] = (
-    ChainSwim, ChainCrawl, Hexapod,
-    Hopper, Walker2d, HalfCheetah, Ant, Humanoid,
+    ChainSwim, ChainCrawl, Hexapod, LinkDrop,
+    Hopper, Walker2d, HalfCheetah, Ant, Humanoid, Swimmer,
     Go1Velocity, Go2Velocity, G1Velocity,
 )  # fmt: skip
 

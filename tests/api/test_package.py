@@ -98,7 +98,7 @@ def test_import_is_light():
 
 
 def test_environments_are_registered_where_gymnasium_is_imported():
-    make = "gymnasium.make('{}mjgranular/ChainSwim-v0').close()"
+    make = "gymnasium.make('{}mjgranular/LinkDrop-v0').close()"
     python("import gymnasium, mjgranular; " + make.format(""))
     python("import gymnasium; " + make.format("mjgranular:"))
     for missing in ("imageio", "mujoco.batch"):

@@ -133,7 +133,7 @@ def gait_of(task: Any) -> Any:
 
 
 def stepped(action: Any) -> Any:
-    env = task("ChainSwim")
+    env = task("LinkDrop")
     env.reset(seed=0)
     return env.unwrapped.step(action)
 
@@ -474,14 +474,11 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "short action": (lambda: stepped(np.zeros(1)), "Action dimension mismatch. Expected"),
     "action not a number": (
-        lambda: stepped(np.full(6, math.nan)),
+        lambda: stepped(np.full(2, math.nan)),
         "an action must be finite, not [nan",
     ),
     "text for an action": (lambda: stepped("left"), "Action dimension mismatch. Expected"),
-    "batch of none": (
-        lambda: vec("mjgranular/ChainSwim-v0", 0),
-        "num_envs must be at least 1, not",
-    ),
+    "batch of none": (lambda: vec("mjgranular/LinkDrop-v0", 0), "num_envs must be at least 1, not"),
     "batch of somebody's": (
         lambda: vec("CartPole-v1", 2),
         "CartPole-v1 has no batch of mjgranular's",
@@ -569,19 +566,19 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     "class that is no task": (lambda: registered(int), "not the class int"),
     "task without a robot": (lambda: registered(unfinished()), "the task Nothing lacks observe,"),
     "text for a number of simulations": (
-        lambda: vec("mjgranular/ChainSwim-v0", "8"),
+        lambda: vec("mjgranular/LinkDrop-v0", "8"),
         "num_envs must be an integer, not '8'",
     ),
     "half a simulation": (
-        lambda: vec("mjgranular/ChainSwim-v0", 2.5),
+        lambda: vec("mjgranular/LinkDrop-v0", 2.5),
         "num_envs must be an integer, not 2.5",
     ),
     "text for threads": (
-        lambda: vec("mjgranular/ChainSwim-v0", 2, threads="many"),
+        lambda: vec("mjgranular/LinkDrop-v0", 2, threads="many"),
         "threads must be an integer, not 'many'",
     ),
     "fewer than no threads": (
-        lambda: vec("mjgranular/ChainSwim-v0", 2, threads=-1),
+        lambda: vec("mjgranular/LinkDrop-v0", 2, threads=-1),
         "threads must be at least 0, not -1",
     ),
     "noise below zero": (
@@ -597,24 +594,24 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
         "randomise must be a SandRanges(strength=(0.5, 2), ...), not a list",
     ),
     "gait of an environment": (
-        lambda: gait_of(task("ChainSwim")),
+        lambda: gait_of(task("LinkDrop")),
         "a gait is of a task, which an environment has as env.unwrapped.task",
     ),
-    "gait of an id": (lambda: gait_of("mjgranular/ChainSwim-v0"), "env.unwrapped.task, not of"),
+    "gait of an id": (lambda: gait_of("mjgranular/LinkDrop-v0"), "env.unwrapped.task, not of"),
     "environment that is made already": (
-        lambda: on_sand(task("ChainSwim")),
+        lambda: on_sand(task("LinkDrop")),
         "on_sand makes the environment itself, from its class or its id",
     ),
     "size of a picture": (
-        lambda: task("ChainSwim", render_mode="rgb_array", width="640"),
+        lambda: task("LinkDrop", render_mode="rgb_array", width="640"),
         "width must be an integer, not '640'",
     ),
     "batch that begins when it likes": (
-        lambda: batch("ChainSwim", autoreset_mode="same"),
+        lambda: batch("LinkDrop", autoreset_mode="same"),
         "no autoreset_mode 'same'; there are: NextStep, SameStep, Disabled",
     ),
     "text for a seed": (
-        lambda: batch("ChainSwim").reset(seed="1"),
+        lambda: batch("LinkDrop").reset(seed="1"),
         "a seed is a whole number, or a list of them, not '1'",
     ),
     "text for a speed": (lambda: Impact(speed="10"), "speed must be finite ... '10'"),
@@ -640,8 +637,8 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
         "seeds must be an integer, not '3'",
     ),
     "batch of nobody's": (
-        lambda: vec("mjgranular/ChainSwin-v0", 2),
-        "no environment 'mjgranular/ChainSwin-v0' ... did you mean mjgranular/ChainSwim-v0?",
+        lambda: vec("mjgranular/LinkDorp-v0", 2),
+        "no environment 'mjgranular/LinkDorp-v0' ... did you mean mjgranular/LinkDrop-v0?",
     ),
     "repose in degrees": (lambda: mg.Memory(repose=32), "32 degrees are 0.5585"),
     "memory that is too small": (
@@ -767,12 +764,12 @@ def test_after_a_reset_nothing_is_left_of_the_last_step() -> None:
 
 def test_a_task_that_is_defined_again_takes_its_own_place() -> None:
     pytest.importorskip("gymnasium")
-    from mjgranular.envs.chains import ChainSwim
+    from mjgranular.envs.link_drop import LinkDrop
     from mjgranular.envs.task import tasks
 
-    again = type("ChainSwim", (ChainSwim,), {"__module__": ChainSwim.__module__})
+    again = type("LinkDrop", (LinkDrop,), {"__module__": LinkDrop.__module__})
     try:
-        assert registered(again) == "mjgranular/ChainSwim-v0"
-        assert tasks["ChainSwim"] is again
+        assert registered(again) == "mjgranular/LinkDrop-v0"
+        assert tasks["LinkDrop"] is again
     finally:
-        registered(ChainSwim)
+        registered(LinkDrop)

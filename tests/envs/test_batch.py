@@ -69,7 +69,7 @@ def test_a_batch_is_the_single_environments_to_the_last_bit(name):
     assert_same(sync.reset(seed=[5, None, 7]), batch.reset(seed=[5, None, 7]))
 
 
-@pytest.mark.parametrize("name", ["Hopper", "ChainSwim"])
+@pytest.mark.parametrize("name", ["Hopper", "LinkDrop"])
 def test_episodes_may_begin_in_the_step_that_ends_the_last(name):
     sync, batch = pair(name, autoreset=AutoresetMode.SAME_STEP, max_episode_steps=9)
     assert_same(sync.reset(seed=1), batch.reset(seed=1))
@@ -142,10 +142,11 @@ def test_wrong_input_is_told():
         make_vec_env("CartPole-v1", 2)
 
 
-def test_stable_baselines_sees_what_it_sees_of_single_environments():
+@pytest.mark.parametrize("name", ["Hopper", "LinkDrop"])
+def test_stable_baselines_sees_what_it_sees_of_single_environments(name):
     # Gymnasium's time limit is the id's own: with zero actions the hopper falls before.
-    ours = make_vec_env(id_of("Hopper"), NUM, seed=5, full_info=True)
-    theirs = make_dummy(id_of("Hopper"), NUM, seed=5)
+    ours = make_vec_env(id_of(name), NUM, seed=5, full_info=True)
+    theirs = make_dummy(id_of(name), NUM, seed=5)
     assert np.array_equal(ours.reset(), theirs.reset().astype(float))
     ours.action_space.seed(0)
     ended = 0
@@ -189,7 +190,7 @@ def test_options_of_stable_baselines_are_for_the_next_reset():
 
 @pytest.mark.slow
 def test_stable_baselines_learns_on_it():
-    batch = make_vec_env(id_of("Hopper"), 4, seed=0, frame_skip=20)
+    batch = make_vec_env(id_of("LinkDrop"), 4, seed=0, frame_skip=20)
     model = PPO("MlpPolicy", batch, n_steps=4, batch_size=8, n_epochs=1, device="cpu")
     model.learn(32)
     assert model.num_timesteps == 32

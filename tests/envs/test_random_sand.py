@@ -252,7 +252,7 @@ def test_media_may_be_files_and_laws_have_parameters(tmp_path, monkeypatch):
     mine = register_medium(replace(media["play_sand"], name="mine"))
     ranges = SandRanges(media=(str(file), mine.name), laws=("link_distributed pieces=5",))
     assert ranges.media == (str(file), "mine")
-    env = gym.make("mjgranular/ChainSwim-v0", randomise=ranges)
+    env = gym.make("mjgranular/LinkDrop-v0", randomise=ranges)
     drawn = {env.reset(seed=seed)[1]["sand/medium"] for seed in range(10)}
     assert drawn == {str(file), "mine"}
     with pytest.raises(InputError, match="media must be names, got the medium 'mine'"):

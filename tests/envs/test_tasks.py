@@ -16,13 +16,14 @@ from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_checker import check_env as check_for_sb3
 
 import mjgranular.envs
-from mjgranular import InputError, Plane, RenderError, UnknownNameError
+from mjgranular import InputError, Plane, RenderError, Sand, UnknownNameError
 from mjgranular.envs import SandEnv, on_sand, tasks
 from mjgranular.envs.gaits import gait, gaits
 from mjgranular.envs.ground import RIGID
 from mjgranular.envs.gym_robots import Hopper
 from mjgranular.envs.ids import id_of
 from mjgranular.law.validity import findings_of, found_at
+from mjgranular.models import Link
 
 ROBOTS = ("Hopper", "Walker2d", "HalfCheetah", "Ant", "Humanoid")
 SECTIONS = (
@@ -108,7 +109,7 @@ def test_the_docstring_is_the_specification(name):
         text = text.replace("links - 1", "6")
     assert f"({size},), float64)" in text
     assert f"({env.action_space.shape[0]},), float32)" in text
-    assert f"`frame_skip={env.unwrapped.task.frame_skip}`" in text or name in ROBOTS
+    assert f"`frame_skip={env.unwrapped.task.frame_skip}`" in text or name in (*ROBOTS, "Swimmer")
 
 
 @pytest.mark.parametrize("name", ["ChainSwim", "Hopper"])
@@ -123,14 +124,14 @@ def test_an_episode_is_as_long_as_it_says(name):
 @pytest.mark.slow
 def test_environments_work_in_processes_of_their_own():
     batch = gym.make_vec(
-        id_of("ChainSwim"),
+        id_of("LinkDrop"),
         num_envs=2,
         vectorization_mode="async",
         vector_kwargs={"context": "spawn"},
     )
-    sync = gym.make_vec(id_of("ChainSwim"), num_envs=2, vectorization_mode="sync")
+    sync = gym.make_vec(id_of("LinkDrop"), num_envs=2, vectorization_mode="sync")
     assert np.array_equal(batch.reset(seed=3)[0], sync.reset(seed=3)[0])
-    action = np.full((2, 6), 0.3, np.float32)
+    action = np.full((2, 2), 0.3, np.float32)
     assert np.array_equal(batch.step(action)[1], sync.step(action)[1])
     batch.close()
 
@@ -249,7 +250,42 @@ def test_gaits_are_as_fast_in_steps_half_as_long(name, frequency):
     assert first == pytest.approx(second, rel=0.08)
 
 
-@pytest.mark.parametrize("name", ["ChainCrawl", "Hexapod", "Hopper", "Ant"])
+@pytest.mark.parametrize(("angle", "spin"), [(-0.6, 0.0), (0.2, 0.4)])
+def test_a_drop_is_that_of_sand_step(angle, spin):
+    env = SandEnv("LinkDrop", frame_skip=300)
+    observation, _ = env.reset(seed=4)
+    *_, info = env.step(np.array([angle, spin], np.float32))
+    link, tilt = Link(), np.radians(75) * (np.float32(angle).item() + 1) / 2
+    turn = 40 * np.float32(spin).item()
+    model = link.model(timestep=5e-4)
+    model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    data = mujoco.MjData(model)
+    half = link.length / 2
+    data.qpos[:] = -half * np.sin(tilt), half * np.cos(tilt), tilt
+    data.qvel[:] = 0.0, -observation[1] - half * np.sin(tilt) * turn, turn
+    sand = Sand(model, medium="play_sand", law="link_distributed", scheme="implicit")
+    depth = 0.0
+    for _ in range(300):
+        depth = sand.report(data)["link"].depth
+        sand.step(data)
+    assert info["sand/depth"] == pytest.approx(depth, rel=1e-6)
+    assert info["reward_depth"] == pytest.approx(-abs(depth / 0.2 - observation[0]), rel=1e-6)
+
+
+def test_the_lower_end_meets_the_sand_at_the_speed_that_is_asked_for():
+    env = SandEnv("LinkDrop", frame_skip=1)
+    observation, _ = env.reset(seed=0)
+    task, state = env.task, env._state
+    task.act(np.array([[0.3, -0.7]]), state)
+    mujoco.mj_forward(env.model, env.data)
+    velocity = np.zeros(6)
+    site = env.model.site("T").id
+    mujoco.mj_objectVelocity(env.model, env.data, mujoco.mjtObj.mjOBJ_SITE, site, velocity, 0)
+    assert velocity[5] == pytest.approx(-observation[1], rel=1e-12)
+    assert env.data.site_xpos[site][2] == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("name", ["ChainCrawl", "Hexapod", "Hopper", "Ant", "LinkDrop"])
 def test_starts_are_on_the_surface_that_is_given(name):
     level = SandEnv(name).reset(seed=0)[1]["sand/depth"]
     raised = SandEnv(name, surface=Plane(height=0.7)).reset(seed=0)[1]["sand/depth"]
@@ -304,6 +340,8 @@ def test_wrong_input_is_told():
         SandEnv("ChainCrawl", links=1)
     with pytest.raises(InputError, match="frame_skip must be at least 1, not 0"):
         SandEnv("Hexapod", frame_skip=0)
+    with pytest.raises(InputError, match="target_range must be"):
+        SandEnv("LinkDrop", target_range=(0.2, 0.1))
     with pytest.raises(InputError, match="render_mode must be None or one of human, rgb_array"):
         SandEnv("Hopper", render_mode="text")
     with pytest.raises(UnknownNameError, match="no camera 'mine'; there are: track"):
@@ -372,7 +410,7 @@ def test_without_gymnasium_there_is_an_install_line():
 def test_ids_are_registered_by_the_import():
     for name in tasks:
         assert id_of(name) in gym.registry
-    code = "import gymnasium; print(gymnasium.make('mjgranular.envs:mjgranular/ChainSwim-v0'))"
+    code = "import gymnasium; print(gymnasium.make('mjgranular.envs:mjgranular/LinkDrop-v0'))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert "SandEnv" in done.stdout
 
@@ -413,9 +451,10 @@ def test_rigid_ground_is_the_floor_of_the_robots_own_model(name):
     np.testing.assert_allclose(env.data.qpos, data.qpos, atol=1e-9)
 
 
-def test_what_does_not_stand_on_the_ground_has_no_rigid_ground():
+@pytest.mark.parametrize("name", ["ChainSwim", "Swimmer", "LinkDrop"])
+def test_what_does_not_stand_on_the_ground_has_no_rigid_ground(name):
     with pytest.raises(InputError, match="rigid"):
-        _ = tasks["ChainSwim"](rigid=0.0).model
+        _ = tasks[name](rigid=0.0).model
 
 
 def test_rigid_ground_has_the_contacts_of_the_floor_that_carries():

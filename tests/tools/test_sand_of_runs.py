@@ -148,20 +148,20 @@ def test_what_is_no_sand_is_told_in_one_sentence(sand, whole_and_broken, tmp_pat
 def test_a_policy_that_is_trained_without_sand_is_told_of(tmp_path, capfd):
     few = ["--total-steps", "64", "--set", "num_envs=1", "n_steps=64", "batch_size=64"]
     for name, warning in (
-        ("Hopper-v5", "Hopper-v5 has no sand in its model: mjgranular/Hopper-v0 has"),
+        ("Swimmer-v5", "Swimmer-v5 has no sand in its model: mjgranular/Swimmer-v0 has"),
         (
             "Reacher-v5",
             "Reacher-v5 has no sand in its model: what `mjgranular list envs` lists has",
         ),
         ("Pendulum-v1", ""),  # of which nobody can know
-        ("mjgranular/ChainSwim-v0", ""),
+        ("mjgranular/LinkDrop-v0", ""),
     ):
         out = tmp_path / name.replace("/", "-")
         assert main(["train", name, *few, "--out", str(out)]) == 0
         said = capfd.readouterr().err
         assert warning in said
         assert said.count("warning") == bool(warning)
-    assert open_run(tmp_path / "Hopper-v5").sand == []
+    assert open_run(tmp_path / "Swimmer-v5").sand == []
     assert open_run(tmp_path / "Pendulum-v1").sand is None
 
 

@@ -192,7 +192,7 @@ train quad:Nope-v0 | no environment 'quad:Nope-v0' ... importing quad has regist
 train qaud:Quad-v0 | no module 'qaud'; there are: error, quad ... did you mean quad?
 train error:Quad-v0 | the module 'error' of the environment error:Quad-v0 cannot be imported
 train CartPole-v1 --algorithm dqn | no algorithm 'dqn'; there are: ppo, sac,
-train mjgranular/ChainSwim-v0 --algorithm dqn | no algorithm 'dqn'; there are: ppo, sac, td3
+train mjgranular/LinkDrop-v0 --algorithm dqn | no algorithm 'dqn'; there are: ppo, sac, td3
 train CartPole-v1 --total-steps 0 | total_steps must be ... 0
 train CartPole-v1 --total-steps 1.5 | integer ... '1.5'
 train CartPole-v1 --seed -1 | seed must be ... from 0 to 2147483647
