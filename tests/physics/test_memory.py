@@ -391,7 +391,7 @@ def test_runs_repeat_to_the_last_bit_and_copies_go_on_alike() -> None:
     run(sand, data, 150)
     copy = mujoco.MjData(sand.model)
     mujoco.mj_copyData(copy, sand.model, data)
-    sand.copy_memory(data, copy)
+    sand.restore_memory(copy, sand.save_memory(data))
     again = run(*dropped(), 400)
     np.testing.assert_array_equal(run(sand, data, 250), again)
     np.testing.assert_array_equal(run(sand, copy, 250), again)
