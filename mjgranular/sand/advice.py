@@ -30,7 +30,7 @@ from mjgranular.relief.relief import frame_of
 from mjgranular.sand.material import DEFAULT_MEDIUM, law_named_in
 from mjgranular.sand.spec import SandSpec
 from mjgranular.shape.select import body_name, collides, is_choice, mocap_above, moves
-from mjgranular.shape.sizes import FACETS, LARGEST, RESOLUTION, geom_name, geom_width, half_extents
+from mjgranular.shape.sizes import LARGEST, geom_name, geom_width, half_extents
 from mjgranular.surface import Bed, HeightField, Plane, Surface
 from mjgranular.surface.floors import CARRIES, WOULD_CARRY, FloorWatch, describe_floors, find_floors
 
@@ -181,9 +181,6 @@ def points(case: Case) -> Iterator[str]:
 
 # Values that are implausible for sand: most likely a wrong unit
 
-_DENSITIES = (10.0, 25000.0)
-"""Density of a medium [kg/m^3]: from snow to tungsten powder. In g/cm^3 it is 0.01 to 25."""
-
 _LONGEST_STEP = 0.1
 """Time step [s]. MuJoCo's own models have 1 to 10 ms; a body that falls 1 cm into sand is at rest
 after 50 ms. A value in milliseconds is 1 or more."""
@@ -208,19 +205,6 @@ _LEVEL = 1e-3
 
 _OF_SAND = (LinkLaw, DistributedLinkLaw, RftLaw, DepthVelocityLaw)
 """Laws known to be of sand: a custom law may be of mud, or of a lake."""
-
-
-def density(case: Case) -> Iterator[str]:
-    """Check the density of the medium."""
-    value, (low, high) = getattr(case.law, "density", None), _DENSITIES
-    if isinstance(value, (int, float)) and value > 0 and not low <= value <= high:
-        likely = "densities are in kg/m^3"
-        if low <= 1000 * value <= high:
-            likely = f"{value:g} g/cm^3 is {1000 * value:g} kg/m^3"
-        yield (
-            f"the law {case.law.name!r} has a density of {value:g} kg/m^3, and sand has {low:g} to "
-            f"{high:g}: {likely}"
-        )
 
 
 def timestep(case: Case) -> Iterator[str]:
@@ -362,22 +346,13 @@ MANY = 20_000
 takes twice the two milliseconds that models of robots have for a time step."""
 
 
-def coarser(elements: np.ndarray, resolution: int | None, most: int) -> str:
-    """Return advice on how to get fewer elements, at most `most` of them."""
-    advice = "take fewer geoms"
-    if "normal" not in (elements.dtype.names or ()):
-        return advice
-    # The count grows with its square; edges are cut into an integer number, hence one less.
-    fits = math.floor((resolution or RESOLUTION) * math.sqrt(most / len(elements)))
-    lower = max(2, fits - 1)
-    return f"resolution={lower} would make some {most:,}, or {advice}"
-
-
-def cost(elements: np.ndarray, resolution: int | None) -> Iterator[str]:
+def cost(elements: np.ndarray) -> Iterator[str]:
     """Check that the number of elements does not make steps slow."""
     if len(elements) > MANY:
-        advice = coarser(elements, resolution, FACETS)
-        yield f"{len(elements):,} elements take milliseconds in each step: {advice}"
+        yield (
+            f"{len(elements):,} elements take milliseconds in each step: take a lower resolution, "
+            "or fewer geoms"
+        )
 
 
 def missed_steps(
@@ -447,7 +422,6 @@ CHECKS = (
     (touch_sensors, UnfeltWarning),
     (ignored_parts, UnfeltWarning),
     (floors, FloorWarning),
-    (density, RangeWarning),
     (timestep, RangeWarning),
     (sizes, RangeWarning),
     (gravity, RangeWarning),

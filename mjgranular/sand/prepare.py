@@ -56,7 +56,7 @@ def prepare(model: mujoco.MjModel, spec: SandSpec, *, within: bool = False) -> P
         # Within `mj_step` its size was fixed before there was a model (`fitted`).
         memory = memory if within else fitting(model, chosen.geoms, memory)
         surface, footprint = remembering(model, chosen, memory)
-    advice.warn([(advice.cost, CostWarning)], elements, spec.resolution)
+    advice.warn([(advice.cost, CostWarning)], elements)
     scene = make_scene(law, chosen.medium, surface, model)
     if footprint is not None:
         scene["surface"]["points"] = footprint.points.ctypes.data
