@@ -12,7 +12,7 @@ from mjgranular.relief.footprint import Footprint, footprint_of, surroundings_of
 from mjgranular.relief.memory import Memory, as_memory
 from mjgranular.relief.relief import Relief
 from mjgranular.sand import advice
-from mjgranular.sand.material import elements_of, material_of
+from mjgranular.sand.material import material_of
 from mjgranular.sand.spec import SandSpec
 from mjgranular.shape import select_geoms
 from mjgranular.surface import Surface
@@ -43,7 +43,7 @@ def choose_sand(model: mujoco.MjModel, spec: SandSpec) -> ChosenSand:
     replaced = replace_geoms(model, spec.instead_of)
     case = advice.Case(model, spec, geoms, law, surface, as_memory(spec.memory))
     advice.warn(advice.CHECKS, case)
-    elements = elements_of(model, geoms, law, spec.resolution)
+    elements = law.elements(model, geoms, spec.resolution)
     advice.warn([(advice.link_law, GranularWarning)], case)
     return ChosenSand(
         medium=medium,

@@ -1,15 +1,12 @@
 """Medium and law of a sand: as given, or derived from each other and from the model."""
 
 import logging
-from collections.abc import Sequence
 from dataclasses import MISSING, fields
 
 import mujoco
-import numpy as np
 
 from mjgranular.errors import InputError, UnknownNameError, listed
-from mjgranular.law import DistributedLinkLaw, Law, LinkLaw, get_law, law_in, laws
-from mjgranular.law.rft import RftLaw
+from mjgranular.law import Law, get_law, law_in
 from mjgranular.medium import Medium, get_medium, media
 from mjgranular.sand.spec import SandSpec
 
@@ -22,8 +19,6 @@ LAW_TEXT = "mjgranular.law"
 _FIRST_MEDIA = ("play_sand", DEFAULT_MEDIUM)
 """Media that are searched first for a law's constants if only a law is given."""
 
-_CAPSULE = int(mujoco.mjtGeom.mjGEOM_CAPSULE)
-_CYLINDER = int(mujoco.mjtGeom.mjGEOM_CYLINDER)
 _logger = logging.getLogger(__name__)
 
 
@@ -84,22 +79,6 @@ def medium_for(law: str | Law | type[Law]) -> Medium:
         if has_constants(media[name], kind):
             return media[name]
     return media[_FIRST_MEDIA[0]]
-
-
-def elements_of(
-    model: mujoco.MjModel, geoms: Sequence[int], law: Law, resolution: int | None
-) -> np.ndarray:
-    """Return the elements of a law; errors of link laws name the media that take every shape."""
-    try:
-        return law.elements(model, geoms, resolution)
-    except InputError as error:
-        rods = np.isin(model.geom_type[geoms], (_CAPSULE, _CYLINDER)).all()
-        if rods or not isinstance(law, (LinkLaw, DistributedLinkLaw)):
-            raise
-        every = [name for name in media if issubclass(laws[media[name].default_law], RftLaw)]
-        raise InputError(
-            f"{error}; or take a medium whose own law takes every shape: {listed(every)}"
-        ) from None
 
 
 def has_constants(medium: Medium, law: str | Law | type[Law] | None) -> bool:
