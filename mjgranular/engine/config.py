@@ -26,7 +26,7 @@ from mjgranular.sand.material import law_of, medium_for
 from mjgranular.sand.spec import SAND_FIELDS, SandSpec
 from mjgranular.scheme import get_scheme, schemes
 from mjgranular.shape.select import names_in
-from mjgranular.surface.choice import surface_from_words, surface_of, surfaces
+from mjgranular.surface.choice import surface_of, surfaces
 
 KEYS = (*SAND_FIELDS, "draw", "tunable")
 """Keys of `mjgranular.sand`, in the order in which they are written."""
@@ -62,7 +62,7 @@ def read_config(texts: Mapping[str, str]) -> Config:
             )
     readers = {
         "medium": get_medium,
-        "surface": surface_from_words,
+        "surface": surface_of,
         "scheme": get_scheme,
         "bodies": split_words,
         "geoms": split_words,

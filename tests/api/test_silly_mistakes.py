@@ -217,7 +217,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "surface's name": (
         lambda: sand(surface="floor"),
-        "a surface is needed, not 'floor'; use Plane(height=...),",
+        "no surface 'floor'; there are: bed, height_field, plane",
     ),
     "number for surface": (
         lambda: sand(surface=0.1),
@@ -347,7 +347,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "body of add_sand": (
         lambda: added(bodies="blok"),
-        "mjgranular 'sand': config 'bodies': no body of the model 'blok' ... did you mean block?",
+        "mjgranular 'sand': no body of the model 'blok' ... did you mean block?",
     ),
     "number for a name": (lambda: added(name=3), "name of an instance"),
     "law in MJCF": (
@@ -356,7 +356,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "body in MJCF": (
         lambda: made("<config key='bodies' value='blok'/>"),
-        "mjgranular 's': config 'bodies': no body of the model 'blok' ... did you mean block?",
+        "mjgranular 's': no body of the model 'blok' ... did you mean block?",
     ),
     "key in MJCF": (
         lambda: made("<config key='medum' value='play_sand'/>"),
@@ -436,7 +436,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "body of an environment": (
         lambda: on_sand("Hopper-v5", bodies="foto"),
-        "mjgranular 'sand': config 'bodies': no body of the model 'foto' ... did you mean foot?",
+        "mjgranular 'sand': no body of the model 'foto' ... did you mean foot?",
     ),
     "sand of an environment": (
         lambda: on_sand("Hopper-v5", "play_sand"),
