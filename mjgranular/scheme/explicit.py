@@ -27,8 +27,8 @@ from mjgranular.scheme.forces import add_total, force_kernel
 from mjgranular.scheme.layout import ARM, FORCE, LED, VELOCITY, WEIGHT, tile_size
 from mjgranular.scheme.sampling import sampling_kernel
 from mjgranular.scheme.scheme import Scheme, schemes
-from mjgranular.scheme.status import BAD_STATE, FINE, check_options
-from mjgranular.scheme.wrenches import add_wrenches, find_bad_wrench, is_bad, pose_at
+from mjgranular.scheme.status import FINE, check_options
+from mjgranular.scheme.wrenches import add_wrenches, find_bad_wrench, pose_at
 
 
 @dataclass(frozen=True)
@@ -111,8 +111,6 @@ def explicit_program(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
     @compiled
     def program(address, lead):
         table = table_at(address)
-        if is_bad(table):
-            return BAD_STATE
         status = check_options(table)
         if status != FINE:
             return status
