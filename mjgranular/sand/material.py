@@ -1,11 +1,10 @@
 """Medium and law of a sand: as given, or derived from each other and from the model."""
 
 import logging
-from dataclasses import MISSING, fields
 
 import mujoco
 
-from mjgranular.errors import InputError, UnknownNameError, listed
+from mjgranular.errors import InputError, UnknownNameError
 from mjgranular.law import Law, get_law, law_in
 from mjgranular.medium import Medium, get_medium, media
 from mjgranular.sand.spec import SandSpec
@@ -36,7 +35,7 @@ def material_of(model: mujoco.MjModel, spec: SandSpec) -> tuple[Medium, Law]:
         medium = get_medium(spec.medium)
     else:
         medium = media[DEFAULT_MEDIUM] if law is None else medium_for(law)
-    law = law_of(law, medium)
+    law = get_law(law, medium)
     if spec.medium is None:
         _logger.info("chosen by default: medium %s, law %s", medium.name, law.name)
     return medium, law
@@ -49,25 +48,6 @@ def law_named_in(model: mujoco.MjModel) -> str | None:
         return None
     start, size = model.text_adr[number], model.text_size[number]
     return bytes(model.text_data[start : start + size]).rstrip(b"\0").decode(errors="replace")
-
-
-def law_of(law: str | Law | type[Law] | None, medium: Medium) -> Law:
-    """Return the law with a medium's constants (`get_law`); errors name media that have them."""
-    try:
-        return get_law(law, medium)
-    except UnknownNameError as error:
-        if error.kind == "law" or law is None or isinstance(law, Law):
-            raise
-        kind = law_in(law)[0] if isinstance(law, str) else law
-        others = [name for name in media if has_constants(media[name], kind)]
-        if not others:
-            known = fields(kind)  # pyright: ignore[reportArgumentType]
-            needed = [f"{field.name}=..." for field in known if field.default is MISSING]
-            raise InputError(
-                f"no medium has constants for the law {kind.name!r}: give it {', '.join(needed)}"
-            ) from None
-        hint = f"media with constants for it: {listed(others)}"
-        raise UnknownNameError(error.kind, error.name, error.known, hint, guess=False) from None
 
 
 def medium_for(law: str | Law | type[Law]) -> Medium:
