@@ -14,8 +14,7 @@ from contextlib import contextmanager
 from types import FrameType
 
 # Messages contain strings from files, models and arguments: their length is limited.
-_LONGEST_VALUE = 80  # characters of one value; chosen, as the two below
-_LONGEST_LIST = 1000  # characters of a list of names
+_LONGEST_VALUE = 80  # characters of one value; chosen, as those below
 _LONGEST_MESSAGE = 2000
 _SHORT_LIST = 12  # names that are listed even if one of them is similar
 _PART = 3  # characters of a name that are searched in others
@@ -43,16 +42,8 @@ def one_line(text: str) -> str:
 
 
 def listed(names: Iterable[str]) -> str:
-    """Join names with commas: as many as fit into a message, and the number of the others."""
-    known = list(names)
-    length, count = 0, 0
-    for name in known:
-        length += len(name) + 2
-        if length > _LONGEST_LIST:
-            break
-        count += 1
-    text = ", ".join(known[:count]) or "none"
-    return text if count == len(known) else f"{text}, and {len(known) - count} more"
+    """Join names with commas; a message that becomes too long is cut."""
+    return ", ".join(names) or "none"
 
 
 def _known_ones(name: object, known: Sequence[str], *, guess: bool = True) -> str:

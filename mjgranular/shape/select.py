@@ -164,16 +164,10 @@ def _of_body(model: mujoco.MjModel, body: int) -> list[int]:
 def _refuse_fixed(model: mujoco.MjModel, body: int) -> None:
     if moves(model, body):
         return
-    mocap = mocap_above(model, body)
-    if mocap is not None:
-        raise InputError(
-            f"mocap body {body_name(model, mocap)} has no velocity in MuJoCo, and so sand cannot "
-            "act on it: put its geoms on a body with a free joint, <weld> that body to it, and "
-            "name that"
-        )
     raise InputError(
-        f"body {body_name(model, body)} is fixed to the world: sand cannot act on it; "
-        "name a body that has a joint above it"
+        f"body {body_name(model, body)} is fixed to the world, or to a mocap body, which has no "
+        "velocity: sand cannot act on it; name a body that has a joint above it, which a <weld> "
+        "may have follow a mocap body"
     )
 
 

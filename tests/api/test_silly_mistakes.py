@@ -640,7 +640,10 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
         lambda: vec("mjgranular/LinkDorp-v0", 2),
         "no environment 'mjgranular/LinkDorp-v0' ... did you mean mjgranular/LinkDrop-v0?",
     ),
-    "repose in degrees": (lambda: mg.Memory(repose=32), "32 degrees are 0.5585"),
+    "repose in degrees": (
+        lambda: mg.Memory(repose=32),
+        "above 0 and below 1.571 rad, not 32",
+    ),
     "memory that is too small": (
         lambda: sand(memory=mg.Memory(0.02, extent=0.4)),
         "say memory='cell=0.02 extent=",

@@ -101,7 +101,7 @@ def test_commands_say_so(tmp_path, capsys):
 @pytest.mark.parametrize("options", [{"bodies": ["ball", "tool"]}, {"geoms": "t"}])
 def test_a_mocap_body_that_is_named_is_refused_with_what_to_do(door, options):
     xml = text(BALL, TOOL.format(more="").replace("<geom", '<geom name="t"'))
-    with pytest.raises(ValueError, match=r"mocap body 'tool' has no velocity.*<weld>"):
+    with pytest.raises(ValueError, match=r"body 'tool' is fixed .* to a mocap body.*<weld>"):
         door(xml, **options)
 
 
