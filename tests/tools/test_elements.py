@@ -244,7 +244,7 @@ def test_a_scene_gets_elements_normals_and_forces(facets):
     assert {scene.geoms[k].rgba[3] for k in range(before)} == {0.25}
     assert add_elements(scene, facets, data) == 2 * number
     # Walls that slide along themselves are pushed by what rounding leaves, which nobody sees.
-    force = np.linalg.norm(facets.report(data).table.force, axis=1)
+    force = np.linalg.norm(facets.report(data).elements.force, axis=1)
     pushed = (force > 0.01 * force.max()).sum()
     assert 0 < pushed < (force > 0).sum()
     scene.ngeom = 0
