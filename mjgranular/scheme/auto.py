@@ -28,7 +28,6 @@ class Auto(SchemeChoice):
     """
 
     name: ClassVar[str] = "auto"
-    title: ClassVar[str] = "implicit, or explicit for fine steps and very many elements"
 
     def scheme_for(
         self, model: mujoco.MjModel, elements: int, *, adds_mass: bool = False

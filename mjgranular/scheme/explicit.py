@@ -45,7 +45,6 @@ class Explicit(Scheme):
     """
 
     name: ClassVar[str] = "explicit"
-    title: ClassVar[str] = "the law at the current state, once a step; needs small steps"
 
     half_step: bool = True
     longest_step: float = 1e9  # any

@@ -87,7 +87,6 @@ class Implicit(Scheme):
     """
 
     name: ClassVar[str] = "implicit"
-    title: ClassVar[str] = "forces at the end of the step: exact rest, large steps"
     whole_state: ClassVar[bool] = True
 
     evaluations: int = 160

@@ -39,11 +39,9 @@ class SchemeChoice(ABC):
 
     Attributes:
         name: name in the registry.
-        title: one line for lists.
     """
 
     name: ClassVar[str]
-    title: ClassVar[str]
 
     @abstractmethod
     def scheme_for(
