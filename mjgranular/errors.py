@@ -46,9 +46,9 @@ def listed(names: Iterable[str]) -> str:
     return ", ".join(names) or "none"
 
 
-def _known_ones(name: object, known: Sequence[str], *, guess: bool = True) -> str:
+def _known_ones(name: object, known: Sequence[str]) -> str:
     """Return the end of a message on an unknown name: similar names, and the valid ones."""
-    near = similar_names(name, known) if guess else []
+    near = similar_names(name, known)
     if near and len(known) > _SHORT_LIST:
         return f"; did you mean {', '.join(near)}? There are {len(known)} in all"
     return f"; there are: {listed(known)}" + (f"; did you mean {near[0]}?" if near else "")
@@ -98,30 +98,21 @@ class UnknownNameError(GranularError, KeyError):
         name: the given name.
         known: the valid names.
         hint: an alternative, if any.
-        guess: whether to suggest similar names.
     """
 
-    def __init__(
-        self,
-        kind: str,
-        name: object,
-        known: Iterable[str],
-        hint: str = "",
-        guess: bool = True,
-    ) -> None:
+    def __init__(self, kind: str, name: object, known: Iterable[str], hint: str = "") -> None:
         self.kind = kind
         self.name = name
         self.known = tuple(known)
         self.hint = hint
-        self.guess = guess
-        rest = _known_ones(name, self.known, guess=guess)
+        rest = _known_ones(name, self.known)
         super().__init__(f"no {kind} {shown(name)}{rest}{hint and ' '}{hint and f'({hint})'}")
 
     def __str__(self) -> str:  # KeyError would show the message in quotes
         return str(self.args[0])
 
-    def __reduce__(self) -> tuple[type, tuple[str, object, tuple[str, ...], str, bool]]:
-        return type(self), (self.kind, self.name, self.known, self.hint, self.guess)
+    def __reduce__(self) -> tuple[type, tuple[str, object, tuple[str, ...], str]]:
+        return type(self), (self.kind, self.name, self.known, self.hint)
 
 
 class UnknownArgumentError(GranularError, TypeError):

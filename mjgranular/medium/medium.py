@@ -133,6 +133,5 @@ class Medium:
                 law,
                 sorted(self.constants),
                 "mjgranular list laws NAME shows the media that have them",
-                guess=False,
             )
         return {name: quantity.value for name, quantity in self.constants[key].items()}
