@@ -167,8 +167,6 @@ def _write_part(part: Any, register: Registry[Any], kind: str, how: str) -> str:
     if isinstance(part, str):
         return part
     for name, cls in register.items():
-        if part is cls:
-            return name
         if type(part) is cls:
             return " ".join([name, *(_write_field(part, field.name) for field in fields(part))])
     raise InputError(

@@ -152,8 +152,8 @@ class Scheme(SchemeChoice):
         return Workspace(np.zeros(0, np.int64))
 
 
-def get_scheme(scheme: str | SchemeChoice | type[SchemeChoice]) -> SchemeChoice:
-    """Return the scheme of that name or class, or `scheme` itself.
+def get_scheme(scheme: str | SchemeChoice) -> SchemeChoice:
+    """Return the scheme of that name, or `scheme` itself.
 
     A name may be followed by options, such as "implicit evaluations=9"; others keep their defaults.
 
@@ -161,8 +161,6 @@ def get_scheme(scheme: str | SchemeChoice | type[SchemeChoice]) -> SchemeChoice:
         UnknownNameError: no such scheme; lists the existing ones.
         InputError: the scheme does not have that option, or its value has a wrong type.
     """
-    if isinstance(scheme, type) and issubclass(scheme, SchemeChoice):
-        return scheme()
     if isinstance(scheme, SchemeChoice):
         return scheme
     if not isinstance(scheme, str) or not scheme.strip():
