@@ -69,8 +69,7 @@ def geoms_in_sand(model: mujoco.MjModel, spec: SandSpec) -> list[int]:
 def remembering(
     model: mujoco.MjModel, chosen: ChosenSand, memory: Memory
 ) -> tuple[Relief, Footprint]:
-    """Return the surface of a sand with that memory, and the skin of its bodies; warn if needed."""
+    """Return the surface of a sand with that memory, and the skin of its bodies."""
     surface, geoms = chosen.surface, list(chosen.geoms)
     relief = Relief(surface, memory, surroundings_of(model, geoms, memory))
-    advice.warn(advice.CHECKS_OF_MEMORY, model, geoms, surface, memory)
     return relief, footprint_of(model, geoms, chosen.elements, memory.cell)

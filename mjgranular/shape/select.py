@@ -83,12 +83,6 @@ def last_dof(model: mujoco.MjModel, body: int) -> int:
     return int(model.body_dofadr[body] + model.body_dofnum[body] - 1) if body > 0 else -1
 
 
-def mocap_above(model: mujoco.MjModel, body: int) -> int | None:
-    """Return the mocap body that a body is or is attached to, None if there is none."""
-    root = int(model.body_rootid[body])
-    return root if model.body_mocapid[root] >= 0 else None
-
-
 def is_choice(names: Choice) -> bool:
     """Return True if names select some bodies or geoms, and not none or all."""
     return any(name != EVERY for name in names_in(names))

@@ -40,11 +40,6 @@ DOORS = pytest.mark.parametrize("door", [by_sand, by_plugin])
     ("part", "told"),
     [
         (NAMED, r"flex 'cloth': it feels geoms of rigid bodies alone.*bodies="),
-        (TOOL.format(more=""), r"mocap body 'tool'.*free body and <weld>.*bodies="),
-        (
-            TOOL.format(more='<body><geom size=".01"/></body>').replace('<geom size=".05"/>', ""),
-            r"does not act on mocap body 'tool'",
-        ),
     ],
 )
 def test_what_moves_unfelt_is_named(door, part, told):
