@@ -1,8 +1,8 @@
 """Reports of the sand's action on a model at one instant, for people, logs and plots."""
 
 import math
-from dataclasses import asdict, dataclass, fields
-from typing import Any, Self
+from dataclasses import dataclass
+from typing import Self
 
 import mujoco
 import numpy as np
@@ -150,7 +150,7 @@ class Report:
     solver: Solver | None = None
 
     def __repr__(self) -> str:
-        """Return each body's depth and force; `as_dict` has all."""
+        """Return each body's depth and force."""
         bodies = [
             f"{body.body} {1e3 * body.depth:.4g} mm deep, {_size(body.force):.4g} N"
             for body in self.bodies[:_SHOWN]
@@ -169,16 +169,6 @@ class Report:
             if report.body == str(body):
                 return report
         raise UnknownNameError("body with sand on it", str(body), [r.body for r in self.bodies])
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return plain numbers and lists, as for JSON."""
-        return {
-            "time": self.time,
-            "medium": self.medium,
-            "law": self.law,
-            "bodies": [_plain(body) for body in self.bodies],
-            "elements": {name: self.elements[name].tolist() for name in ELEMENT_DTYPE.names or ()},
-        }
 
 
 @np.errstate(over="ignore", invalid="ignore")  # overflow is reported as infinite
@@ -296,16 +286,3 @@ def _measures(
 
 def _size(vector: np.ndarray) -> float:
     return float(np.linalg.norm(vector))
-
-
-def _plain(report: Any) -> dict[str, Any]:
-    """Return a report as names and plain numbers; its validity as measures with values."""
-    plain: dict[str, Any] = {}
-    for field in fields(report):
-        value = getattr(report, field.name)
-        if field.name == "validity":
-            value = {s.limit.measure: {"value": s.value, "most": s.limit.most} for s in value}
-        if isinstance(value, Finding):
-            value = asdict(value)
-        plain[field.name] = value.tolist() if isinstance(value, np.ndarray) else value
-    return plain
