@@ -515,14 +515,6 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
         lambda: mg.Rft3dLaw(3000, 0.4, 0.4, rise="no"),
         "Rft3dLaw: rise must be True or False, not 'no'",
     ),
-    "word for a switch of a scheme": (
-        lambda: mg.Explicit(half_step="no"),
-        "Explicit: half_step must be True or False, not 'no'",
-    ),
-    "text for a longest step": (
-        lambda: mg.Explicit(longest_step="1"),
-        "Explicit: longest_step must be positive, not '1' s",
-    ),
     "half an evaluation": (
         lambda: mg.Implicit(evaluations=2.5),
         "Implicit: evaluations must be an integer, not 2.5",
