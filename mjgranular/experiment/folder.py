@@ -15,6 +15,7 @@ from mjgranular.errors import GranularError, OutputError
 from mjgranular.experiment.drop import Drop, DropResult
 from mjgranular.experiment.impact import Impact, ImpactResult
 from mjgranular.experiment.trajectory import Trajectory, write_numbers
+from mjgranular.relief.memory import as_memory
 from mjgranular.render import Tracks
 
 _CSV = "trajectory.csv"
@@ -68,7 +69,7 @@ def read_drop(path: Path) -> tuple[Drop, dict[str, np.ndarray]]:
         config = read_json(files.latest_path(path, CONFIG)).get("config")
         drop, file = Drop.from_config(config), files.latest_path(path, _NPZ)
         names = _DROP_ARRAYS
-        if drop.sand.memory is not None and Tracks.are_in(file):
+        if as_memory(drop.sand.memory) is not None:
             names += Tracks.names()
         arrays = read_arrays(file, names)
         prints_of(arrays)  # raises if they are damaged
@@ -120,6 +121,7 @@ def read_impact(path: Path) -> tuple[Impact, dict[str, Any], Trajectory]:
 
 def read_prints(path: Path) -> Tracks | None:
     """Read the tracks of a saved impact; None for sand without memory."""
-    file = files.latest_path(path, _NPZ)
+    if as_memory(read_impact(path)[0].memory) is None:
+        return None
     with _saved(path, "impact"):
-        return prints_of(read_arrays(file, Tracks.names())) if Tracks.are_in(file) else None
+        return prints_of(read_arrays(files.latest_path(path, _NPZ), Tracks.names()))
