@@ -1,7 +1,5 @@
 """Medium and law of a sand: as given, or derived from each other and from the model."""
 
-import logging
-
 import mujoco
 
 from mjgranular.errors import InputError, UnknownNameError
@@ -18,8 +16,6 @@ LAW_TEXT = "mjgranular.law"
 _FIRST_MEDIA = ("play_sand", DEFAULT_MEDIUM)
 """Media that are searched first for a law's constants if only a law is given."""
 
-_logger = logging.getLogger(__name__)
-
 
 def material_of(model: mujoco.MjModel, spec: SandSpec) -> tuple[Medium, Law]:
     """Return the medium and the law of a sand.
@@ -35,10 +31,7 @@ def material_of(model: mujoco.MjModel, spec: SandSpec) -> tuple[Medium, Law]:
         medium = get_medium(spec.medium)
     else:
         medium = media[DEFAULT_MEDIUM] if law is None else medium_for(law)
-    law = get_law(law, medium)
-    if spec.medium is None:
-        _logger.info("chosen by default: medium %s, law %s", medium.name, law.name)
-    return medium, law
+    return medium, get_law(law, medium)
 
 
 def law_named_in(model: mujoco.MjModel) -> str | None:
@@ -50,21 +43,19 @@ def law_named_in(model: mujoco.MjModel) -> str | None:
     return bytes(model.text_data[start : start + size]).rstrip(b"\0").decode(errors="replace")
 
 
-def medium_for(law: str | Law | type[Law]) -> Medium:
+def medium_for(law: str | Law) -> Medium:
     """Return the default medium of a law."""
-    if isinstance(law, str):
-        law, _ = law_in(law)
-    kind = type(law) if isinstance(law, Law) else law
+    kind = type(law) if isinstance(law, Law) else law_in(law)[0]
     for name in (*_FIRST_MEDIA, *(name for name in media if name not in _FIRST_MEDIA)):
         if has_constants(media[name], kind):
             return media[name]
     return media[_FIRST_MEDIA[0]]
 
 
-def has_constants(medium: Medium, law: str | Law | type[Law] | None) -> bool:
+def has_constants(medium: Medium, law: type[Law]) -> bool:
     """Return True if a medium has the constants of a law."""
     try:
-        get_law(law, medium)
+        law.from_medium(medium)
     except (InputError, UnknownNameError):
         return False
     return True
