@@ -202,7 +202,7 @@ def test_a_refusal_names_the_media_that_would_do():
     spec = mujoco.MjSpec.from_string(xml(ROBOT))
     add_sand(spec, medium="play_sand")
     spec.plugins[0].config = {"medium": "play_sand", "law": "rft3d"}
-    with pytest.raises(ValueError, match="config 'law'.*list laws NAME shows the media"):
+    with pytest.raises(ValueError, match=r"config 'law'.*list laws NAME shows the media"):
         spec.compile()
 
 
