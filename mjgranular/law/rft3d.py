@@ -1,9 +1,9 @@
 """Three-dimensional resistive force theory of Agarwal, Goldman and Kamrin."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -12,10 +12,10 @@ from mjgranular.errors import InputError, shown
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.vector import vector
 from mjgranular.law.law import register_law
-from mjgranular.law.raised import shear_constants
+from mjgranular.law.raised import CONE_FORMS, shear_constants
 from mjgranular.law.rft import RftLaw
 from mjgranular.medium import Medium
-from mjgranular.medium.stiffness import FRICTION_CUBIC
+from mjgranular.medium.stiffness import FRICTION_CUBIC, LEVEL_PLATE
 
 # Agarwal et al. 2023, supplementary table: coefficients of the monomials of x1, x2, x3 in the order
 # 1, x1, x2, x3, x1^2, x2^2, x3^2, x1 x2, x2 x3, x3 x1, x1^3, x2^3, x3^3, x1 x2^2, x2 x1^2, x2 x3^2,
@@ -165,7 +165,7 @@ class Rft3dLaw(RftLaw):
         added: kappa of the added mass: leading facets move a layer of sand that is kappa
             times as deep as their geom is wide; 0 omits it.
         rise: lower the surface behind a turning body by r (r w^2/g), for wheels.
-        scale: factor on the stiffness, from a calibration.
+        scale: factor on the stiffness, from a calibration; see `calibrated`.
         cone: mean depth of the stagnant sand under flat faces, in their widths; 0 omits it.
         rate: rise of internal friction from slow flow to fast, Jop et al. 2006; 0 omits it.
         grain: diameter of a grain [m], which `rate` needs.
@@ -214,6 +214,27 @@ class Rft3dLaw(RftLaw):
                     f"Rft3dLaw: {key} must be finite and from {low:g} to {high:g}, not "
                     f"{shown(value)}"
                 )
+
+    @classmethod
+    def calibrated(
+        cls, medium: Medium, *, force: float, area: float, depth: float, gravity: float = 9.81
+    ) -> Self:
+        """Return the law with its stiffness calibrated by a flat plate pushed straight down.
+
+        With a `cone` the plate is a square, pushed slowly.
+
+        Args:
+            medium: source of density and frictions.
+            force: measured resistance [N].
+            area: area of the plate [m^2].
+            depth: depth of the plate [m].
+            gravity: gravity at the measurement [m/s^2].
+        """
+        plain = cls.from_medium(medium)
+        side = math.sqrt(area)
+        raised = 1.0 + plain.cone * side / max(depth, CONE_FORMS * side)
+        met = LEVEL_PLATE * area * depth * plain.stiffness * gravity * raised
+        return replace(plain, scale=plain.scale * force / met)
 
     @property
     def stiffness(self) -> float:

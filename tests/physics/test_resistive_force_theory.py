@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from numba import njit
 
 from mjgranular import (
+    DynamicRft3dLaw,
     Explicit,
     InputError,
     Plane,
@@ -453,12 +454,26 @@ def test_only_leading_faces_act(law):
 
 def test_calibration_by_one_measurement():
     measured = SPATIAL["flat_plate"]["measured"] * 1e6  # per area and depth
-    law = dataclasses.replace(QUIKRETE, scale=measured / (0.87574 * 9.81 * QUIKRETE.stiffness))
+    law = Rft3dLaw.calibrated(
+        media["quikrete_medium"], force=measured * 0.01 * 0.05, area=0.01, depth=0.05
+    )
     assert law.scale == pytest.approx(2.02 / 2.11, rel=3e-3)
     plate = body(box(SIDE, SIDE, THICK))
     force = Moved(plate, law).report([0, 0, -0.05], [1, 0, 0, 0], [0, 0, -1])["body"].force
     assert force[2] == pytest.approx(measured * 0.01 * (0.05 + THICK / 2), rel=1e-5)
     assert dataclasses.replace(law, scale=1.0) == QUIKRETE
+
+
+@pytest.mark.parametrize("law", [Rft3dLaw, DynamicRft3dLaw])
+@pytest.mark.parametrize("depth", [0.003, 0.05])
+def test_a_calibrated_law_meets_the_measured_force(law, depth):
+    """In a medium that has a scale, and with a cone under the plate."""
+    made = law.calibrated(media["poppy_seed_loose"], force=7.0, area=SIDE**2, depth=depth)
+    plate = body(box(SIDE, SIDE, THICK))
+    at = [0, 0, THICK / 2 - depth]
+    still = dataclasses.replace(made, added=0.0)  # forces on a given path have none
+    force = Moved(plate, still).report(at, [1, 0, 0, 0], [0, 0, -1e-9])["body"].force
+    assert force[2] == pytest.approx(7.0, rel=1e-3)
 
 
 @pytest.mark.parametrize("mu", [0.0, 0.4, 100.0])
