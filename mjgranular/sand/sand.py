@@ -93,11 +93,11 @@ class Sand:
         self._model = model
         self._spec = combined(spec, fields)
         self._sand = sand = prepare(model, self._spec)
-        inside = find_sand_of_the_model(model, sand.elements)
-        if inside and not shared:
+        self._beside = find_sand_of_the_model(model, sand.elements)
+        if self._beside and not shared:
             raise InputError(
-                f"the model has sand, {inside} inside mj_step: step it with mj_step and without "
-                "Sand, or say shared=True if both are to act"
+                f"the model has sand, {self._beside} inside mj_step: step it with "
+                "mj_step and without Sand, or say shared=True if both are to act"
             )
         self._program = sand.program
         self._guarded = entry(guarded_step, "int64(int64, int64, float64)")
@@ -296,11 +296,19 @@ class Sand:
         Warns with a `MissedStepWarning` as `check` does.
 
         Raises:
-            InputError: `data` belongs to another model.
-            UnstableError: a force is not finite.
+            InputError: the shape of a geom was changed after the sand was made of it; `check` looks
+                at more. The model already has sand on the same bodies, and this one has never acted
+                in `data`: the report would be of forces in addition to those.
         """
         model = self._model
         self._check_owner(data)
+        if self._beside and data not in self._bindings:
+            raise InputError(
+                f"the model has sand, {self._beside} inside mj_step, and this Sand, "
+                "which has never acted in this MjData, has nothing to report: read the model's "
+                "sensors (mjgranular.sensor), or report with the model without its sand"
+            )
+        self._original.check_shapes(model)
         self._warn_of_missed_steps(data)
         # Probes are kept for the next call; a list hands each to one thread at a time.
         try:

@@ -51,6 +51,14 @@ def test_a_change_is_found_and_named(sand, name, row, value, said):
         sand.check()
 
 
+def test_a_report_looks_at_the_shapes_of_geoms(sand):
+    data = mujoco.MjData(sand.model)
+    sand.report(data)
+    sand.model.geom_size[0] *= 2
+    with pytest.raises(InputError, match="geom_size of the model"):
+        sand.report(data)
+
+
 def test_what_may_change(sand):
     model = sand.model
     model.opt.timestep, model.opt.gravity[2] = 1e-3, -1.6
