@@ -1,5 +1,6 @@
 """`WarpSand`: sand in all worlds of MuJoCo Warp."""
 
+from collections.abc import Sequence
 from typing import Any, Unpack
 
 import mujoco
@@ -9,6 +10,8 @@ import warp as wp
 from mjgranular._util.checks import check_count, is_finite
 from mjgranular.errors import InputError, shown
 from mjgranular.law import make_scene
+from mjgranular.law.law import get_law
+from mjgranular.medium import Medium, get_medium
 from mjgranular.relief.footprint import fitting
 from mjgranular.relief.memory import Heights, as_memory
 from mjgranular.relief.relief import Relief, place_in_plane
@@ -156,6 +159,7 @@ class WarpSand:
         self._device, self._size = device, (n, count)
 
         law_struct = struct_of_dtype(type(self.law).__name__, self._scene["law"].dtype)
+        self._law_struct = law_struct
         self._laws = to_device(self._scene["law"], law_struct, device)
         record = self._scene["surface"]
         if isinstance(self.surface, Relief) and self._footprint is not None:
@@ -191,6 +195,28 @@ class WarpSand:
         m.callback.control, m.callback.sensor = self._on_control, self._on_sensor
         m.has_fluid = True  # else MuJoCo Warp ignores the damping
         self._attached_to = m
+
+    def set_media(self, media: Sequence[str | Medium]) -> None:
+        """Give each world its own medium, with this sand's kind of law.
+
+        Args:
+            media: one for each world, or one for all.
+
+        Raises:
+            InputError: the sand is not attached, or the number of media does not match the worlds.
+            UnknownNameError: a medium does not exist, or has no constants for the law.
+        """
+        self._check_attached("set_media")
+        if isinstance(media, (str, Medium)):
+            media = [media]
+        if len(media) not in (1, self._size[0]):
+            raise InputError(
+                f"set_media takes a medium for each of the {self._size[0]} worlds, or one for "
+                f"all, not {len(media)}"
+            )
+        found = [get_medium(medium) for medium in media]
+        records = [get_law(self.law.name, medium).parameters(medium) for medium in found]
+        self._laws = to_device(np.concatenate(records), self._law_struct, self._device)
 
     def relief(self, d: Any, world: int, middle: tuple[float, float] | None = None) -> Heights:
         """Return the stored heights of a world's sand over its surface.

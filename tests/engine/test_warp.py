@@ -380,13 +380,13 @@ def test_no_world_is_lost_deep_in_the_sand(warp):
 
 @pytest.mark.filterwarnings("ignore::mjgranular.GranularWarning")
 def test_worlds_are_on_their_own(warp):
-    """Strengths, heights, a world that goes bad."""
+    """Media, heights, a world that goes bad."""
     model = scene(warp)
     sand = warp.WarpSand(
         model, medium="glass_beads", law="rft2d", bodies="box", instead_of=("dunes", "tray")
     )
     m, d = put(model, np.tile(model.qpos0, (4, 1)), np.zeros((4, model.nv)), sand)
-    sand.strength.assign(np.array([1, 1, 1, 2], np.float32))
+    sand.set_media(["glass_beads", "glass_beads", "glass_beads", "poppy_seed_close"])
     sand.height.assign(np.array([0, 0, 0.005, 0], np.float32))
     qvel = d.qvel.numpy()
     qvel[1, 0] = np.nan
@@ -432,7 +432,7 @@ def test_what_is_wrong_is_said(warp):
         warp.coupled(model)
     sand = warp.WarpSand(single, medium="quikrete_medium")
     with pytest.raises(InputError, match="attach the sand first"):
-        sand.relief(None, 0)
+        sand.set_media(["glass_beads"])
     data = mujoco.MjData(single)
     d = mjw.put_data(single, data, nworld=1)
     with pytest.raises(InputError, match=r"'box' as a diagonal.*coupled"):
@@ -454,6 +454,8 @@ def test_what_is_wrong_is_said(warp):
     sand.attach(m, d)
     with pytest.raises(InputError, match="attached already"):
         sand.attach(m, d)
+    with pytest.raises(InputError, match="each of the 1 worlds"):
+        sand.set_media(["quikrete_medium"] * 3)
 
 
 @pytest.mark.filterwarnings("ignore::mjgranular.GranularWarning")
