@@ -14,6 +14,8 @@ from mjgranular.errors import OutputError
 
 CONFIG = "config.json"
 SUMMARY = "summary.json"
+UNFINISHED = "unfinished"
+"""Empty file beside numbers whose figures are not drawn yet."""
 TRAINING = "train"
 """Command that `config.json` of a training run names."""
 
@@ -64,6 +66,19 @@ class ResultFolder:
                 f"{self.path} holds a training run, which --overwrite keeps: choose another folder"
             )
 
+    def lacks_figures(self, command: str, config: dict[str, Any]) -> bool:
+        """Return True if this very command was interrupted here after it wrote its numbers."""
+        saved, wanted = self._saved(), json.loads(json.dumps(config, default=str))
+        values = saved.get("config")
+        if saved.get("command") != command or not isinstance(values, dict):
+            return False
+        same = all(values.get(name) == value for name, value in wanted.items())
+        return same and (self.path / UNFINISHED).exists()
+
+    def finish(self) -> None:
+        """Note that all figures are drawn."""
+        (self.path / UNFINISHED).unlink(missing_ok=True)
+
     def _saved(self) -> dict[str, Any]:
         """Return the options of the previous result; empty if there are none, or damaged ones."""
         with suppress(OutputError):
@@ -78,10 +93,12 @@ class ResultFolder:
         summary: Any,
         *,
         keep: Sequence[str] = (),
+        unfinished: bool = False,
     ) -> Iterator[None]:
         """Publish summary, resolved options with versions, and all files of the block at once.
 
-        They replace all files of the last result but `keep`.
+        They replace all files of the last result but `keep`. The result may be `unfinished` until
+        `finish` is called.
         """
         options = {
             "command": command,
@@ -91,12 +108,14 @@ class ResultFolder:
             "finished": datetime.now(UTC).isoformat(timespec="seconds"),
             "files": list(self._names),
         }
-        names = (*self._names, *self._previous_names())
+        names = (*self._names, *self._previous_names(), UNFINISHED)
         stale = [name for name in names if name not in keep]
         with files.replace_directory(self.path, instead_of=stale) as waiting:
             for name, content in ((CONFIG, options), (SUMMARY, summary)):
                 text = json.dumps(content, indent=2, allow_nan=False, default=str)  # paths
                 files.write_text(waiting / name, text + "\n")
+            if unfinished:
+                (waiting / UNFINISHED).touch()
             self._waiting = waiting
             try:
                 yield

@@ -1,6 +1,6 @@
 """`mjgranular drop`: your own model on sand."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -37,7 +37,8 @@ class DropCommand(FilmOptions, options_of(Drop, without=("model",))):
         if self.video and self.camera is not None:
             check_camera(load(drop)[0], camera)
         problems: list[GranularError] = []
-        with self.claimed(*RUN_FILES, FIGURE, FILM) as folder:
+        names = *RUN_FILES, FIGURE, FILM
+        with self.claimed(*names, command="drop", config=asdict(drop)) as folder:
             with progress_bar("running the model", drop.duration) as progress:
                 result = run_drop(drop, progress=progress)
             if folder is not None:
@@ -52,6 +53,8 @@ class DropCommand(FilmOptions, options_of(Drop, without=("model",))):
                 if self.video:
                     with collected(problems):
                         _film(folder, result, camera)
+                if not problems:
+                    folder.finish()
         return self.finish(problems)
 
 

@@ -1,6 +1,6 @@
 """`mjgranular impact`: one drop of the link, of another body or of a chain; the paper's table."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Any
 
@@ -35,7 +35,10 @@ class ImpactCommand(FilmOptions, options_of(Impact)):
             raise InputError("a sphere has no --length: its size is its --diameter")
         impact = self.experiment()
         film = self._film(impact) if self.video else None
-        with self.claimed(*RUN_FILES, *FIGURES, VIDEO) as folder:
+        # The law may be None here, and is named in the file.
+        config = {name: value for name, value in asdict(impact).items() if name != "law" or value}
+        names = *RUN_FILES, *FIGURES, VIDEO
+        with self.claimed(*names, command="impact", config=config) as folder:
             with progress_bar("dropping the link", impact.duration) as progress:
                 result = run_impact(impact, progress=progress)
             if folder is not None:
@@ -45,6 +48,8 @@ class ImpactCommand(FilmOptions, options_of(Impact)):
             else:
                 _show(result)
             problems = [] if folder is None else _draw(folder, result, film)
+            if folder is not None and not problems:
+                folder.finish()
         return self.finish(problems)
 
     def _film(self, impact: Impact) -> Film:

@@ -9,7 +9,7 @@ import typing
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, make_dataclass
-from functools import partialmethod
+from functools import partial, partialmethod
 from pathlib import Path
 from typing import Annotated, Any, Union
 
@@ -227,13 +227,19 @@ class OutputOptions:
     """Print JSON instead of a table."""
 
     @contextmanager
-    def claimed(self, *names: str) -> Iterator[ResultFolder | None]:
-        """Claim the folder of `--out`; yield None without one."""
+    def claimed(
+        self, *names: str, command: str = "", config: dict[str, Any] | None = None
+    ) -> Iterator[ResultFolder | None]:
+        """Claim the folder of `--out`; yield None without one.
+
+        A command that was interrupted may go on there, if it has the same `config`.
+        """
         if self.out is None:
             yield None
             return
         folder = ResultFolder(self.out, names)
-        with folder.claimed(overwrite=self.overwrite):
+        goes_on = None if config is None else partial(folder.lacks_figures, command, config)
+        with folder.claimed(overwrite=self.overwrite, goes_on=goes_on):
             yield folder
 
     def finish(self, problems: Sequence[GranularError] = ()) -> int:

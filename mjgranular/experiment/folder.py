@@ -26,7 +26,7 @@ RUN_FILES = (CONFIG, SUMMARY, _CSV, _NPZ)
 def write_impact(folder: ResultFolder, result: ImpactResult) -> None:
     """Write an impact: configuration, trajectory and summary, at once."""
     config = {**asdict(result.impact), "law": result.law}
-    with folder.published("impact", config, result.summary()):
+    with folder.published("impact", config, result.summary(), unfinished=True):
         folder.write(_CSV, result.trajectory.write_csv)
         folder.write(_NPZ, lambda path: result.trajectory.write_npz(path, result.prints))
 
@@ -39,7 +39,7 @@ def write_drop(folder: ResultFolder, result: DropResult) -> None:
     arrays = {name: getattr(result, name) for name in _DROP_ARRAYS}
     if result.prints is not None:
         arrays |= result.prints.arrays()
-    with folder.published("drop", asdict(result.drop), result.summary()):
+    with folder.published("drop", asdict(result.drop), result.summary(), unfinished=True):
         folder.write(_CSV, lambda path: _write_drop_csv(path, result))
         folder.write(_NPZ, lambda path: np.savez_compressed(path, **arrays))
 

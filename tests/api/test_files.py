@@ -236,6 +236,37 @@ def test_a_result_takes_the_place_of_the_whole_one_before(tmp_path, capfd):
     }
 
 
+@pytest.mark.parametrize(
+    ("command", "drawn"),
+    [
+        (["impact", *QUICK], "mjgranular.cli.impact.draw_forces"),
+        (["drop", "ball.xml", "--duration", "0.05"], "mjgranular.cli.drop.draw_drop"),
+    ],
+)
+def test_a_command_that_was_cut_off_while_it_drew_goes_on(
+    command, drawn, tmp_path, monkeypatch, capfd
+):
+    monkeypatch.chdir(tmp_path)
+    Path("ball.xml").write_text(BALL)
+    command, other = (
+        [*command, "--out", "run"],
+        [*command, "--medium", "quikrete_medium", "--out", "run"],
+    )
+
+    def cut_off(*arguments, **options):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(drawn, cut_off)
+        assert main(command) == 130
+    assert main(other) == 2
+    assert "holds a result already" in capfd.readouterr().err
+    assert main(command) == 0
+    assert list(Path("run").glob("*.png"))
+    assert not Path("run", "unfinished").exists()
+    assert main(command) == 2
+
+
 def test_a_training_run_is_not_overwritten(tmp_path, capfd):
     (tmp_path / "config.json").write_text('{"command": "train"}')
     assert main(["impact", *QUICK, "--out", str(tmp_path), "--overwrite"]) == 2
