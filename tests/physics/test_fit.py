@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from mjgranular import InputError, Medium, Quantity, Rft3dLaw
+from mjgranular import InputError, Medium, Quantity, Rft3dLaw, calibrate
 from mjgranular.calibrate import Body, Fit, Run, read_fit, read_runs, run_fit, simulate
 from mjgranular.calibrate.intervals import correlation_time
 from mjgranular.calibrate.trial import find_arrest
@@ -203,6 +203,14 @@ def test_a_wheel_at_its_sinkage():
 def test_a_measured_drop_is_given_as_run():
     with pytest.raises(InputError, match="sphere 1 m/s"):
         Fit(read_runs(DATA / "seen").runs, RFT, ("strength",))
+
+
+def test_names_of_before_are_aliases():
+    from mjgranular import fit, referee
+
+    assert fit.run_fit is run_fit
+    assert fit.RunErrors is referee.Errors is calibrate.Errors
+    assert referee.simulate is simulate
 
 
 def test_a_model_of_ones_own(tmp_path):
