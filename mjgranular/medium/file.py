@@ -194,8 +194,17 @@ def read_outline_file(path: Path, what: str, *, largest: int, extra: str) -> Any
     """
     yaml = require("yaml", extra=extra, purpose=f"Reading {what} from a file")
     content = read_file(path, what, largest=largest)
+
+    class Loader(yaml.BaseLoader):
+        def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
+            found = super().construct_mapping(node, deep=deep)
+            if len(found) < len(node.value):
+                problem, where = "a key stands twice in a mapping", node.start_mark
+                raise yaml.constructor.ConstructorError(None, None, problem, where)
+            return found
+
     try:
-        return yaml.load(content.decode("utf-8"), Loader=yaml.BaseLoader)
+        return yaml.load(content.decode("utf-8"), Loader=Loader)
     except RecursionError:
         reason = "it is nested too deeply"
     except UnicodeDecodeError as error:
