@@ -46,7 +46,6 @@ from mjgranular.medium import register_medium as register_medium
 from mjgranular.relief import Heights as Heights
 from mjgranular.relief import Memory as Memory
 from mjgranular.sand import BodyReport as BodyReport
-from mjgranular.sand import ElementReport as ElementReport
 from mjgranular.sand import Report as Report
 from mjgranular.sand import Sand as Sand
 from mjgranular.sand import SandSpec as SandSpec

@@ -14,8 +14,7 @@ from contextlib import contextmanager
 from types import FrameType
 
 # Messages contain strings from files, models and arguments: their length is limited.
-_LONGEST_VALUE = 80  # characters of one value; chosen, as the two below
-_LONGEST_LIST = 1000  # characters of a list of names
+_LONGEST_VALUE = 80  # characters of one value; chosen, as those below
 _LONGEST_MESSAGE = 2000
 _SHORT_LIST = 12  # names that are listed even if one of them is similar
 _PART = 3  # characters of a name that are searched in others
@@ -43,21 +42,13 @@ def one_line(text: str) -> str:
 
 
 def listed(names: Iterable[str]) -> str:
-    """Join names with commas: as many as fit into a message, and the number of the others."""
-    known = list(names)
-    length, count = 0, 0
-    for name in known:
-        length += len(name) + 2
-        if length > _LONGEST_LIST:
-            break
-        count += 1
-    text = ", ".join(known[:count]) or "none"
-    return text if count == len(known) else f"{text}, and {len(known) - count} more"
+    """Join names with commas; a message that becomes too long is cut."""
+    return ", ".join(names) or "none"
 
 
-def _known_ones(name: object, known: Sequence[str], *, guess: bool = True) -> str:
+def _known_ones(name: object, known: Sequence[str]) -> str:
     """Return the end of a message on an unknown name: similar names, and the valid ones."""
-    near = similar_names(name, known) if guess else []
+    near = similar_names(name, known)
     if near and len(known) > _SHORT_LIST:
         return f"; did you mean {', '.join(near)}? There are {len(known)} in all"
     return f"; there are: {listed(known)}" + (f"; did you mean {near[0]}?" if near else "")
@@ -107,30 +98,21 @@ class UnknownNameError(GranularError, KeyError):
         name: the given name.
         known: the valid names.
         hint: an alternative, if any.
-        guess: whether to suggest similar names.
     """
 
-    def __init__(
-        self,
-        kind: str,
-        name: object,
-        known: Iterable[str],
-        hint: str = "",
-        guess: bool = True,
-    ) -> None:
+    def __init__(self, kind: str, name: object, known: Iterable[str], hint: str = "") -> None:
         self.kind = kind
         self.name = name
         self.known = tuple(known)
         self.hint = hint
-        self.guess = guess
-        rest = _known_ones(name, self.known, guess=guess)
+        rest = _known_ones(name, self.known)
         super().__init__(f"no {kind} {shown(name)}{rest}{hint and ' '}{hint and f'({hint})'}")
 
     def __str__(self) -> str:  # KeyError would show the message in quotes
         return str(self.args[0])
 
-    def __reduce__(self) -> tuple[type, tuple[str, object, tuple[str, ...], str, bool]]:
-        return type(self), (self.kind, self.name, self.known, self.hint, self.guess)
+    def __reduce__(self) -> tuple[type, tuple[str, object, tuple[str, ...], str]]:
+        return type(self), (self.kind, self.name, self.known, self.hint)
 
 
 class UnknownArgumentError(GranularError, TypeError):

@@ -17,8 +17,7 @@ from typing import Any
 import numpy as np
 
 from mjgranular.calibrate import RunSet, compare, read_runs, simulate
-from mjgranular.law import Law
-from mjgranular.sand.material import law_of
+from mjgranular.law import Law, get_law
 
 DATA = Path(__file__).parent / "data"
 SMALL = 0.25  # of the load: reference for smaller horizontal forces on wheels; chosen
@@ -65,7 +64,7 @@ def score(law: str | Law = "rft3d_dynamic") -> dict[str, Any]:
 
 def fit_scale(runs: RunSet, law: str | Law) -> Law:
     """Return the law with its `scale` fitted by least squares to the first run, a push."""
-    push, made = runs.runs[0], law_of(law, runs.medium)
+    push, made = runs.runs[0], get_law(law, runs.medium)
     found = simulate(push, runs.medium, made).force
     measured = push.motion.force
     assert found is not None

@@ -28,9 +28,9 @@ FOOT = """
 </worldbody></mujoco>"""
 
 
-def drawn(sand: Sand, qpos: np.ndarray | None = None) -> np.ndarray:
+def drawn(sand: Sand, data: mujoco.MjData | None = None) -> np.ndarray:
     """The figure of the elements as pixels."""
-    figure = draw_elements(sand, qpos=qpos)
+    figure = draw_elements(sand, data)
     figure.set_dpi(100)
     canvas = FigureCanvasAgg(figure)
     canvas.draw()

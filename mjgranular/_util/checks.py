@@ -16,34 +16,18 @@ _LONGEST = 4096  # characters of a string
 
 def check_model(model: Any, who: str) -> None:
     """Check that `model` is a compiled model."""
-    if isinstance(model, mujoco.MjModel):
-        return
-    meant = "mujoco.MjModel.from_xml_path(...)"
-    if isinstance(model, (str, Path)):
-        meant = f"mujoco.MjModel.from_xml_path({str(model)!r})"
-    elif isinstance(model, mujoco.MjSpec):
-        meant = "spec.compile(), or mjgranular.add_sand for the MjSpec itself"
-    elif isinstance(model, mujoco.MjData):
-        meant = "data.model"
-    raise InputError(f"{who} takes a compiled mujoco.MjModel, not {kind_of(model)}; use {meant}")
+    meant = "MjModel.from_xml_path(...), spec.compile() or data.model"
+    check_kind(model, mujoco.MjModel, who, meant)
 
 
 def check_spec(spec: Any, who: str) -> None:
     """Check that `spec` is an `MjSpec`."""
-    if isinstance(spec, mujoco.MjSpec):
-        return
-    meant = "mujoco.MjSpec.from_file(...)"
-    if isinstance(spec, (str, Path)):
-        meant = f"mujoco.MjSpec.from_file({str(spec)!r})"
-    elif isinstance(spec, mujoco.MjModel):
-        meant = "mjgranular.Sand for a model that is compiled"
-    raise InputError(f"{who} takes a mujoco.MjSpec, not {kind_of(spec)}; use {meant}")
+    check_kind(spec, mujoco.MjSpec, who, "MjSpec.from_file(...)")
 
 
 def check_data(data: Any, who: str) -> None:
     """Check that `data` is an `MjData`."""
-    if not isinstance(data, mujoco.MjData):
-        raise InputError(f"{who} takes a mujoco.MjData, not {kind_of(data)}; use MjData(model)")
+    check_kind(data, mujoco.MjData, who, "MjData(model)")
 
 
 def check_kind(value: Any, kind: type, who: str, meant: str = "") -> None:

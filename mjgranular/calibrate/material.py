@@ -13,9 +13,8 @@ from typing import Any, Self, get_type_hints
 import numpy as np
 
 from mjgranular.errors import GranularError, InputError, UnknownNameError
-from mjgranular.law import Law, law_in
+from mjgranular.law import Law, get_law, law_in
 from mjgranular.medium import Medium
-from mjgranular.sand.material import law_of
 
 STRENGTH = "strength"
 DENSITY = "density"
@@ -38,7 +37,7 @@ class Material:
     @classmethod
     def of(cls, medium: Medium, law: str | Law | None) -> Self:
         """Return the law with the medium's constants; `law` as `Sand` takes it."""
-        made = law_of(law, medium)
+        made = get_law(law, medium)
         names = {field.name for field in fields(made)}  # pyright: ignore[reportArgumentType]
         if isinstance(law, Law):
             return cls(made, medium, frozenset(names))

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import mujoco
-import numpy as np
 import tyro
 
 from mjgranular._util.result_folder import ResultFolder
@@ -47,16 +46,18 @@ class ElementsCommand(options_of(Drop, *_CHOICE)):
         check_file(self.figure)
         folder = ResultFolder(self.figure.parent, (self.figure.name,))
         with folder.claimed(overwrite=self.overwrite):
-            sand, qpos = self._cut()
+            sand, data = self._cut()
             self._show(sand)
-            drawn = {"qpos": qpos, "title": self.model.name}
-            folder.write(self.figure.name, lambda path: draw_elements(sand, file=path, **drawn))
+            folder.write(
+                self.figure.name,
+                lambda path: draw_elements(sand, data, file=path, title=self.model.name),
+            )
         if not self.json:
             out.print(f"written to {self.figure}")
         return 0
 
-    def _cut(self) -> tuple[Sand, np.ndarray]:
-        """Return the model's sand, and the positions at which it is drawn."""
+    def _cut(self) -> tuple[Sand, mujoco.MjData]:
+        """Return the model's sand, and the simulation in which it is drawn."""
         drop = self.experiment()
         with loading(drop.title):
             model = read(drop).compile()
@@ -66,7 +67,8 @@ class ElementsCommand(options_of(Drop, *_CHOICE)):
         with warnings.catch_warnings():  # no step is made: a floor does not matter
             warnings.simplefilter("ignore", FloorWarning)
             sand = Sand(model, drop.sand, scheme=Explicit(prescribed=True), shared=True)
-        return sand, data.qpos
+        mujoco.mj_kinematics(model, data)
+        return sand, data
 
     def _show(self, sand: Sand) -> None:
         kind, rows = kind_of(sand), list(_rows(sand))

@@ -5,7 +5,6 @@ import math
 from functools import partial
 from typing import Any
 
-import mujoco
 import numpy as np
 
 from mjgranular.engine.block import (
@@ -59,7 +58,6 @@ from mjgranular.scheme.status import BAD_TIMESTEP, REFUSED
 Callbacks = dict[str, tuple[Any, str]]
 """Compiled functions by their fields in `mjpPlugin`, and their signatures."""
 
-_RK4 = int(mujoco.mjtIntegrator.mjINT_RK4)
 _SENSOR = 1 << 1  # mjPLUGIN_SENSOR
 _BEGIN = HEADER_DTYPE.itemsize
 _APPLIED = int(HEADER_DTYPE.fields["applied"][1])  # pyright: ignore[reportOptionalSubscript]
@@ -328,10 +326,7 @@ def compute(model, data, instance, capability):
     if not is_of_that_shape(header):
         _fail(other_shape())
         return
-    lead = 0.0
-    options = options_of(model)
-    if options.integrator != _RK4 or header.whole != 0:
-        lead = header.lead * options.timestep
+    lead = header.lead * options_of(model).timestep
     if waits:
         call_step(table[SAMPLING], header.table, lead)
         return

@@ -19,14 +19,14 @@ from mjgranular._util.checks import check_count
 from mjgranular._util.parse import read_value, split_words
 from mjgranular._util.registry import Registry
 from mjgranular.errors import GranularError, InputError, UnknownNameError
-from mjgranular.law import laws
+from mjgranular.law import get_law, laws
 from mjgranular.medium import Medium, get_medium, media
 from mjgranular.relief.memory import Memory, as_memory
-from mjgranular.sand.material import law_of, medium_for
+from mjgranular.sand.material import medium_for
 from mjgranular.sand.spec import SAND_FIELDS, SandSpec
 from mjgranular.scheme import get_scheme, schemes
 from mjgranular.shape.select import names_in
-from mjgranular.surface.choice import surface_from_words, surface_of, surfaces
+from mjgranular.surface.choice import surface_of, surfaces
 
 KEYS = (*SAND_FIELDS, "draw", "tunable")
 """Keys of `mjgranular.sand`, in the order in which they are written."""
@@ -35,9 +35,6 @@ STATE_KEYS = ("memory", "tunable")
 """Keys that determine the size of an instance's state in MuJoCo."""
 
 _CHOICES = ("bodies", "geoms", "groups")  # of what meets the sand
-
-LONGEST = 100_000
-"""Maximum length of a value in characters; chosen: the names of some thousand bodies."""
 
 DRAWINGS = ("forces", "depth", "surface")
 """Drawings of the plugin: arrows of force, dots colored by depth, an infinite plane of sand."""
@@ -55,14 +52,9 @@ class Config:
 def read_config(texts: Mapping[str, str]) -> Config:
     """Parse the strings of an instance by key; an empty string counts as missing."""
     given = {key: text for key, text in texts.items() if text}
-    for key, text in given.items():
-        if len(text) > LONGEST:
-            raise InputError(
-                f"config {key!r}: a string of {len(text)} characters; at most {LONGEST} are read"
-            )
     readers = {
         "medium": get_medium,
-        "surface": surface_from_words,
+        "surface": surface_of,
         "scheme": get_scheme,
         "bodies": split_words,
         "geoms": split_words,
@@ -81,7 +73,7 @@ def read_config(texts: Mapping[str, str]) -> Config:
     if "law" in given:
         with named("law"):
             law = given["law"]
-            read["law"] = law_of(law, read.get("medium") or medium_for(law))
+            read["law"] = get_law(law, read.get("medium") or medium_for(law))
     draw, tunable = read.pop("draw", ()), read.pop("tunable", False)
     if tunable and "memory" in read:
         raise InputError(
@@ -175,8 +167,6 @@ def _write_part(part: Any, register: Registry[Any], kind: str, how: str) -> str:
     if isinstance(part, str):
         return part
     for name, cls in register.items():
-        if part is cls:
-            return name
         if type(part) is cls:
             return " ".join([name, *(_write_field(part, field.name) for field in fields(part))])
     raise InputError(

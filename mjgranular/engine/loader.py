@@ -27,7 +27,7 @@ from mjgranular.engine.instances import NAME, config_texts, instance_name, plugi
 from mjgranular.engine.looks import look_of_plane, look_of_tracks
 from mjgranular.engine.measures import SENSOR, SENSOR_KEYS
 from mjgranular.engine.tuning import NO_TUNINGS, STATE_SIZE, make_tunings
-from mjgranular.errors import InputError, UnknownNameError
+from mjgranular.errors import InputError
 from mjgranular.kernel.engine import library
 from mjgranular.kernel.options import NO_PASSIVE_FORCES
 from mjgranular.kernel.structs import array_size, check_layout, fields_of, offset_of, read_struct
@@ -40,7 +40,6 @@ from mjgranular.render.skin import skin_of
 from mjgranular.sand.prepare import PreparedSand, prepare
 from mjgranular.sand.report import Names
 from mjgranular.scheme import Auto, schemes
-from mjgranular.shape.select import names_in
 from mjgranular.surface import Plane, Surface
 from mjgranular.surface.choice import surfaces
 
@@ -59,15 +58,6 @@ _NO_MATTER = (
     "hfield_data", "geom_rgba", "geom_user", "geom_matid", "body_user", "plugin", *_SENSORS,
     *_SITES,
 )  # fmt: skip
-
-# The key that named something missing in a model, by the kind of thing.
-_KEYS_OF_KINDS = {
-    "group": "groups",
-    "body of": "bodies",
-    "box geom": "surface",
-    "hfield geom": "surface",
-    "geom of": "geoms",
-}
 
 
 @dataclass(frozen=True)
@@ -283,13 +273,7 @@ def _prepare(model: mujoco.MjModel, instance: int, texts: dict[str, str]) -> Pre
     if model.opt.disableflags & NO_PASSIVE_FORCES == NO_PASSIVE_FORCES:
         raise InputError(NO_PASSIVE)
     config = read_config(texts)
-    try:
-        sand = prepare(model, config.sand, within=True)
-    except UnknownNameError as error:
-        key = next((_KEYS_OF_KINDS[kind] for kind in _KEYS_OF_KINDS if kind in error.kind), "law")
-        if key == "geoms" and error.name in names_in(config.sand.instead_of):
-            key = "instead_of"
-        raise InputError(f"config {key!r}: {error}") from None
+    sand = prepare(model, config.sand, within=True)
     tunings = NO_TUNINGS
     if config.tunable:
         with named("tunable"):

@@ -56,12 +56,8 @@ def find_sand(name: str, sands: Mapping[str, int]) -> int:
     if not name and len(sands) == 1:
         (only,) = sands.values()
         return only
-    if not sands:
-        raise InputError("there is no instance of mjgranular.sand in the model")
-    if not name:
-        raise InputError(f"config 'sand': the model has several sands: name one of {listed(sands)}")
     if name not in sands:
-        raise InputError(f"config 'sand': {UnknownNameError('sand', name, sands)}")
+        raise InputError(f"config 'sand': {UnknownNameError('sand in the model', name, sands)}")
     return sands[name]
 
 

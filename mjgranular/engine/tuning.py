@@ -130,11 +130,9 @@ def _number(key: str, value: Any, rows: tuple[int, ...]) -> np.ndarray:
         raise InputError(f"{key} must be {kind}, not {array}")
     if key == "active" and not ((array == 0) | (array == 1)).all():
         raise InputError(f"active must be 0 or 1, False or True, not {array}")
-    if array.ndim and (array.ndim > len(rows) or array.shape != rows[len(rows) - array.ndim :]):
-        if array.size != 1:
-            raise InputError(
-                f"{key} must be one number, or one for each simulation, shape {rows}, not of "
-                f"shape {array.shape}"
-            )
-        array = array.reshape(())
-    return array
+    if array.size != 1 and array.shape != rows[len(rows) - array.ndim :]:
+        raise InputError(
+            f"{key} must be one number, or one for each simulation, shape {rows}, not of shape "
+            f"{array.shape}"
+        )
+    return array if array.size != 1 else array.reshape(())

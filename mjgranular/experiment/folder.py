@@ -15,6 +15,7 @@ from mjgranular.errors import GranularError, OutputError
 from mjgranular.experiment.drop import Drop, DropResult
 from mjgranular.experiment.impact import Impact, ImpactResult
 from mjgranular.experiment.trajectory import Trajectory
+from mjgranular.relief.memory import as_memory
 from mjgranular.render import Tracks
 
 _NPZ = "trajectory.npz"
@@ -56,7 +57,7 @@ def read_drop(path: Path) -> tuple[Drop, dict[str, np.ndarray]]:
         config = read_json(files.latest_path(path, CONFIG)).get("config")
         drop, file = Drop.from_config(config), files.latest_path(path, _NPZ)
         names = _DROP_ARRAYS
-        if drop.sand.memory is not None and Tracks.are_in(file):
+        if as_memory(drop.sand.memory) is not None:
             names += Tracks.names()
         arrays = read_arrays(file, names)
         prints_of(arrays)  # raises if they are damaged
@@ -100,8 +101,8 @@ def read_impact(path: Path) -> tuple[Impact, dict[str, Any], Trajectory, Tracks 
             number(summary, name, path / SUMMARY)
         impact = Impact(**checked_fields(Impact, config.get("config"), path / CONFIG))
         file = files.latest_path(path, _NPZ)
-        prints = prints_of(read_arrays(file, Tracks.names())) if Tracks.are_in(file) else None
-        return impact, summary, Trajectory.read_npz(file), prints
+        names = () if as_memory(impact.memory) is None else Tracks.names()
+        return impact, summary, Trajectory.read_npz(file), prints_of(read_arrays(file, names))
 
     with _saved(path, "impact"):
         return files.read_consistent(path, CONFIG, read)

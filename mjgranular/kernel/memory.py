@@ -20,8 +20,8 @@ from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.intrinsics import intrinsic
 from mjgranular.kernel.structs import fields_of, offset_of
 
-# The table: six numbers, then addresses. `sand.binding` fills it. INTEGRATORS has a
-# bit for each integrator that can be stepped, LONGEST_STEP is in nanoseconds (`scheme.status`).
+# The table: five numbers, then addresses. `sand.binding` fills it. LONGEST_STEP is in nanoseconds
+# (`scheme.status`).
 # Within `mj_step` (`engine.block`) XFRC, WARNINGS and SNAPSHOT are 0: there MuJoCo handles them.
 # STATE to UPDATE belong to a surface with memory: the address of its state, the number of values in
 # it, and the address of the program that updates it after a step; 0 without memory. SAMPLING and
@@ -29,11 +29,11 @@ from mjgranular.kernel.structs import fields_of, offset_of
 # SURFACE is where the surface begins in a scene, after the law [bytes]. BESIDE is the table of the
 # sand that acted before this one in the same step, and is solved together with it; 0 for none. OFF
 # is 1 for a sand that is switched off, or whose step has ended.
-NBODY, NV, ELEMENT_COUNT, BODY_COUNT, INTEGRATORS, LONGEST_STEP = range(6)
-OPTIONS, DOF_PARENT, XPOS, XMAT, XIPOS, SUBTREE_COM, CVEL, CDOF, WARMSTART, XFRC = range(6, 16)
-WARNINGS, ELEMENTS, BODIES, SCENE, CONTACTS, SNAPSHOT, WORKSPACE = range(16, 23)
-STATE, STATE_SIZE, UPDATE, SAMPLING, LAW, SURFACE, BESIDE, OFF = range(23, 31)
-TABLE_SIZE = 31
+NBODY, NV, ELEMENT_COUNT, BODY_COUNT, LONGEST_STEP = range(5)
+OPTIONS, DOF_PARENT, XPOS, XMAT, XIPOS, SUBTREE_COM, CVEL, CDOF, WARMSTART, XFRC = range(5, 15)
+WARNINGS, ELEMENTS, BODIES, SCENE, CONTACTS, SNAPSHOT, WORKSPACE = range(15, 22)
+STATE, STATE_SIZE, UPDATE, SAMPLING, LAW, SURFACE, BESIDE, OFF = range(22, 30)
+TABLE_SIZE = 30
 
 _WORD = ir.IntType(64)
 

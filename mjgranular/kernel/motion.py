@@ -1,4 +1,4 @@
-"""Motion of a body: its velocity, and its change over the time that a scheme looks ahead.
+"""Motion of a body: its velocity, and that of its points.
 
 MuJoCo's `cvel` and the columns of `cdof` are spatial vectors (angular, linear) about the center of
 mass of the kinematic tree, world axes; sums of them need no Jacobian.
@@ -8,7 +8,7 @@ from functools import partial
 from typing import NamedTuple
 
 from mjgranular.kernel.compiled import compiled
-from mjgranular.kernel.memory import CDOF, DOF_PARENT, NV, WARMSTART, ints, row_of
+from mjgranular.kernel.memory import CDOF, DOF_PARENT, NV, ints, row_of
 from mjgranular.kernel.vector import Vector, cross, read_vector, vector, write_vector
 
 
@@ -17,18 +17,6 @@ class Motion(NamedTuple):
 
     angular: Vector  # [rad/s]
     linear: Vector  # of the point that coincides with the tree's center of mass [m/s]
-
-
-@compiled
-def velocity_change(table, last_dof, lead):
-    """Return the change of a body's spatial velocity within `lead` at the last acceleration.
-
-    That acceleration is `qacc_warmstart`: zero after a reset, and part of MuJoCo's own integration
-    state, so that a copied simulation continues as the original does.
-
-    The body's chain ends with the degree of freedom `last_dof`, -1 if it has none.
-    """
-    return motion_along(table, last_dof, table[WARMSTART], lead)
 
 
 @partial(compiled, inline=True)

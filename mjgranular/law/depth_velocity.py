@@ -4,12 +4,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, partial
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple
 
 import mujoco
 import numpy as np
 
-from mjgranular.errors import InputError
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.vector import Matrix, Vector, diagonal, norm, outer, transposed
 from mjgranular.law.kernel import LawKernel
@@ -78,7 +77,8 @@ class DepthVelocityLaw(Law):
     $$
 
     with z the depth of the geom's deepest point below the surface. The force acts while z > 0.
-    Every model that the link paper surveys is a special case.
+    Every model that the link paper surveys is a special case; that of Katsuragi and Durian has k
+    and A = m / d1 with the mass m of the sphere and their drag length d1.
 
     Attributes:
         constant: C [N].
@@ -114,13 +114,6 @@ class DepthVelocityLaw(Law):
 
     def __post_init__(self) -> None:
         self.check_not_negative("constant", "stiffness", "exponent", "linear", "quadratic")
-
-    @classmethod
-    def katsuragi_durian(cls, *, mass: float, stiffness: float, drag_length: float) -> Self:
-        """Return F = k z + m v^2 / d1, spheres: mass m [kg], stiffness k [N/m], length d1 [m]."""
-        if not drag_length > 0:
-            raise InputError(f"the drag length d1 must be positive, not {drag_length} m")
-        return cls(stiffness=stiffness, quadratic=mass / drag_length)
 
     def elements(
         self, model: mujoco.MjModel, geoms: Sequence[int], resolution: int | None = None

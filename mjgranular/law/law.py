@@ -181,8 +181,8 @@ def make_scene(law: Law, medium: Medium, surface: Surface, model: mujoco.MjModel
     return scene
 
 
-def get_law(law: str | Law | type[Law] | None, medium: Medium) -> Law:
-    """Return the law of that name or class with the medium's constants, or `law` itself.
+def get_law(law: str | Law | None, medium: Medium) -> Law:
+    """Return the law of that name with the medium's constants, or `law` itself.
 
     None stands for the medium's default law. A name may be followed by parameters, such as "rft3d
     scale=1.3": they replace the medium's constants, which are not needed if all required parameters
@@ -194,8 +194,6 @@ def get_law(law: str | Law | type[Law] | None, medium: Medium) -> Law:
     """
     if isinstance(law, Law):
         return law
-    if isinstance(law, type) and issubclass(law, Law):
-        return law.from_medium(medium)
     if law is None:
         return laws[medium.default_law].from_medium(medium)
     cls, given = law_in(law)

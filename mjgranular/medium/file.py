@@ -99,7 +99,7 @@ def read_medium(path: str | Path) -> Medium:
     """Read a medium from a YAML file of the form of `EXAMPLE`.
 
     The file may be untrusted: nothing in it is executed, and no more is read than a medium needs
-    (`LARGEST`, `read_outline`).
+    (`LARGEST`, `read_outline_file`).
 
     Raises:
         InputError: the path cannot be read, is not a file, or is too large; a key is missing; or a
@@ -132,7 +132,7 @@ def _medium(content: Any) -> Medium:
         name=_text("name", content["name"]),
         title=_text("title", content["title"]),
         density=_quantity("density", content["density"], "kg/m^3", "kg/m³"),
-        grain=None if grain is None else _quantity("grain", grain, "m"),
+        grain=_quantity("grain", grain, "m") if grain else None,
         default_law=_text("default_law", content["default_law"]),
         constants=constants,
     )
@@ -143,12 +143,12 @@ def _quantity(key: str, entry: Any, *units: str) -> Quantity:
         raise InputError(
             f"{key} must be {{value: NUMBER, unit: UNIT, source: WHERE FROM}}, not {shown(entry)}"
         )
-    unit = entry.get("unit")
-    if units and unit not in (None, "", *units):
+    unit = entry.get("unit", "")
+    if units and unit not in ("", *units):
         raise InputError(f"{key} must be in {units[0]}, not {shown(unit)}: units do not convert")
     return Quantity(
         number(entry["value"], f"{key}.value"),
-        "" if unit is None else _text(f"{key}.unit", unit),
+        _text(f"{key}.unit", unit),
         _text(f"{key}.source", entry["source"]),
     )
 
@@ -164,7 +164,7 @@ def check_mapping(
         if key not in keys:
             raise InputError(f"{where} has no key {shown(key)}; there are: {known}")
     for key in needed:
-        if entry.get(key) is None:
+        if not entry.get(key):
             raise InputError(f"{where} needs {key}")
 
 
@@ -186,83 +186,31 @@ def _key(key: str) -> str:
     return shown(key)[1:-1]
 
 
-# Chosen: a medium needs a depth of 4, and its longest string is a citation.
-_DEEPEST = 8
-_LONGEST_TEXT = 2000
-
-_WORDS = {"": None, "~": None, "null": None, "true": True, "false": False}
-
-
-class OutlineError(InputError):
-    """Error in a YAML document, with its line."""
-
-
 def read_outline_file(path: Path, what: str, *, largest: int, extra: str) -> Any:
-    """Read a YAML file as `read_outline` does, of at most `largest` bytes.
+    """Read a YAML file of at most `largest` bytes: dicts, lists and strings.
 
-    `what` is the expected content, for messages; `extra` installs PyYAML.
+    PyYAML's `BaseLoader` constructs nothing else: no object, date, number or None is made from a
+    file. `what` is the expected content, for messages; `extra` installs PyYAML.
     """
     yaml = require("yaml", extra=extra, purpose=f"Reading {what} from a file")
     content = read_file(path, what, largest=largest)
+
+    class Loader(yaml.BaseLoader):
+        def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
+            found = super().construct_mapping(node, deep=deep)
+            if len(found) < len(node.value):
+                problem, where = "a key stands twice in a mapping", node.start_mark
+                raise yaml.constructor.ConstructorError(None, None, problem, where)
+            return found
+
     try:
-        return read_outline(content.decode("utf-8"), yaml)
-    except UnicodeDecodeError as error:
-        raise InputError(f"{place(path)} is not YAML: byte {error.start} is not UTF-8") from None
-    except OutlineError as error:
-        raise InputError(f"{place(path)} is not YAML that can be read: {error}") from None
-
-
-def read_outline(text: str, yaml: Any) -> Any:
-    """Read YAML: dicts, lists, strings, and unquoted None, True and False.
-
-    PyYAML composes a tree of nodes, and constructs nothing: no object, date or number is made from
-    a file, and the work is proportional to its size.
-
-    Unsupported are tags, several documents, duplicate keys, aliases of something else than a
-    string, deep nesting and long strings.
-    """
-    try:
-        node = yaml.compose(text, Loader=yaml.BaseLoader)
+        return yaml.load(content.decode("utf-8"), Loader=Loader)
     except RecursionError:
-        raise OutlineError(f"nested deeper than {_DEEPEST} levels") from None
+        reason = "it is nested too deeply"
+    except UnicodeDecodeError as error:
+        reason = f"byte {error.start} is not UTF-8"
     except (yaml.YAMLError, ValueError, OverflowError) as error:  # the last two of \U escapes
-        reason = getattr(error, "problem", None) or getattr(error, "reason", None) or "unreadable"
+        problem = getattr(error, "problem", None) or getattr(error, "reason", None) or "unreadable"
         mark = getattr(error, "problem_mark", None)
-        where = "" if mark is None else f"line {mark.line + 1}: "
-        raise OutlineError(f"{where}{str(reason)[:100]}") from None
-    return None if node is None else _content(node, 0, set())
-
-
-def _content(node: Any, depth: int, seen: set[int]) -> Any:
-    """Return the content of a node of YAML; `seen` has the ids of the collections before it."""
-    if not node.tag.endswith((":str", ":seq", ":map")):
-        raise _wrong(node, f"the tag {shown(node.tag)} has no meaning here: remove it")
-    if node.id == "scalar":
-        if len(node.value) > _LONGEST_TEXT:
-            raise _wrong(
-                node,
-                f"a string must have at most {_LONGEST_TEXT} characters, got {len(node.value)}",
-            )
-        if not all(c.isprintable() or c.isspace() for c in node.value):
-            raise _wrong(node, "a string must have printable characters only")
-        return node.value if node.style else _WORDS.get(node.value, node.value)
-    if depth == _DEEPEST:
-        raise _wrong(node, f"nested deeper than {_DEEPEST} levels")
-    if id(node) in seen:
-        raise _wrong(node, "an alias may only stand for a string")
-    seen.add(id(node))
-    if node.id == "sequence":
-        return [_content(inner, depth + 1, seen) for inner in node.value]
-    content: dict[str, Any] = {}
-    for name, value in node.value:
-        key = _content(name, depth + 1, seen)
-        if not isinstance(key, str):
-            raise _wrong(name, f"a key must be a string, got {shown(key)}")
-        if key in content:
-            raise _wrong(name, f"the key {shown(key)} stands twice")
-        content[key] = _content(value, depth + 1, seen)
-    return content
-
-
-def _wrong(node: Any, what: str) -> OutlineError:
-    return OutlineError(f"line {node.start_mark.line + 1}: {what}")
+        reason = f"{'' if mark is None else f'line {mark.line + 1}: '}{str(problem)[:100]}"
+    raise InputError(f"{place(path)} is not YAML that can be read: {reason}")

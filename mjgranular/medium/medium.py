@@ -132,6 +132,6 @@ class Medium:
                 f"constants in medium {shown(self.name)} for law",
                 law,
                 sorted(self.constants),
-                guess=False,
+                "mjgranular list laws NAME shows the media that have them; or give all its options",
             )
         return {name: quantity.value for name, quantity in self.constants[key].items()}

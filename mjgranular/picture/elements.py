@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -70,9 +69,8 @@ def check_file(file: Path) -> None:
 
 def draw_elements(
     sand: Sand,
+    data: mujoco.MjData | None = None,
     *,
-    qpos: Sequence[float] | np.ndarray | None = None,
-    qvel: Sequence[float] | np.ndarray | None = None,
     color: Color = "body",
     normals: bool = True,
     forces: bool = False,
@@ -87,8 +85,7 @@ def draw_elements(
 
     Args:
         sand: the sand whose elements are drawn.
-        qpos: positions of the bodies; None for the model's `qpos0`.
-        qvel: their velocities; None for zero. Only affects `forces`.
+        data: the simulation; None for the model's `qpos0`, at rest.
         color: meaning of the colors: "body" or "geom".
         normals: whether normals of facets are drawn.
         forces: whether the sand's force on each element is drawn, as an arrow.
@@ -99,8 +96,7 @@ def draw_elements(
         The figure, made without pyplot.
 
     Raises:
-        InputError: a state of the wrong length or not finite, or a kind of file that cannot be
-            written.
+        InputError: `data` belongs to another model, or a kind of file that cannot be written.
         UnknownNameError: no such coloring; lists the valid ones.
         MissingExtraError: matplotlib is not installed; gives the install line.
         OutputError: the file cannot be written.
@@ -109,10 +105,9 @@ def draw_elements(
         check_file(Path(file))
     matplotlib = require("matplotlib", extra="figures", purpose="Drawing elements")
     require("matplotlib.figure", extra="figures", purpose="Drawing elements")
-    data = mujoco.MjData(sand.model)
-    _set_state(data.qpos, qpos, "qpos")
-    _set_state(data.qvel, qvel, "qvel")
-    mujoco.mj_kinematics(sand.model, data)
+    if data is None:
+        data = mujoco.MjData(sand.model)
+        mujoco.mj_kinematics(sand.model, data)
     shown = Shown.at(sand, data, color)
     with matplotlib.rc_context(_STYLE):
         figure = matplotlib.figure.Figure(figsize=(6.4, 5.6), layout="none")
@@ -129,17 +124,6 @@ def draw_elements(
                 style = {"facecolor": "white", "bbox_inches": "tight", "pad_inches": 0.15}
                 figure.savefig(part, dpi=150, **style)
     return figure
-
-
-def _set_state(target: np.ndarray, values: Sequence[float] | np.ndarray | None, name: str) -> None:
-    if values is None:
-        return
-    given = np.asarray(values, dtype=float)
-    if given.shape != target.shape:
-        raise InputError(f"{name} must have shape {target.shape}, not {given.shape}")
-    if not np.isfinite(given).all():
-        raise InputError(f"{name} must be finite, not {given}")
-    target[:] = given
 
 
 def _draw(figure: Any, shown: Shown, surface: Any, *, normals: bool, forces: bool) -> None:

@@ -95,7 +95,7 @@ class Shown:
         Forces push facets from outside: their arrows end where the force acts. Others start there.
         The largest force takes 0.3 of the reach.
         """
-        table = self.report.table
+        table = self.report.elements
         size = np.linalg.norm(table.force, axis=1)
         scale = 0.3 * self.reach / max(float(size.max()), 1e-300)
         seen = scale * size > 2e-3 * self.reach

@@ -54,13 +54,8 @@ class Memory:
             is_number = isinstance(value, Real) and not isinstance(value, bool)
             if not is_number or not 0.0 < float(value) < high:
                 end = "" if math.isinf(high) else f" and below {high:.4g} rad"
-                slip = (
-                    f": {value:g} degrees are {math.radians(value):.4g}"
-                    if is_number and end
-                    else ""
-                )
                 raise InputError(
-                    f"the memory's {name} must be a number above 0{end}, not {shown(value)}{slip}"
+                    f"the memory's {name} must be a number above 0{end}, not {shown(value)}"
                 )
         if not self.side / self.cell <= MOST_CELLS:
             count = self.side / self.cell

@@ -1,8 +1,6 @@
 """Record of a sand's memory over a run, for a video."""
 
-import zipfile
 from dataclasses import dataclass, fields
-from pathlib import Path
 from typing import Self
 
 import mujoco
@@ -30,15 +28,6 @@ class Tracks:
     def names() -> tuple[str, ...]:
         """Names of the arrays in a file."""
         return tuple(f"prints_{field.name}" for field in fields(Tracks))
-
-    @staticmethod
-    def are_in(file: Path) -> bool:
-        """Return True if a file of arrays has tracks, which older ones do not."""
-        try:
-            with zipfile.ZipFile(file) as archive:
-                return f"{Tracks.names()[0]}.npy" in archive.namelist()
-        except (OSError, zipfile.BadZipFile):
-            return False
 
     def change(self, begin: float, end: float) -> bool:
         """Return True if heights change between two times [s]."""

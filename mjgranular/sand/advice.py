@@ -29,8 +29,8 @@ from mjgranular.relief.memory import REPOSE, Memory
 from mjgranular.relief.relief import frame_of
 from mjgranular.sand.material import DEFAULT_MEDIUM, law_named_in
 from mjgranular.sand.spec import SandSpec
-from mjgranular.shape.select import body_name, collides, is_choice, mocap_above, moves
-from mjgranular.shape.sizes import FACETS, LARGEST, RESOLUTION, geom_name, geom_width, half_extents
+from mjgranular.shape.select import body_name, collides, is_choice, moves
+from mjgranular.shape.sizes import geom_name, half_extents
 from mjgranular.surface import Bed, HeightField, Plane, Surface
 from mjgranular.surface.floors import CARRIES, WOULD_CARRY, FloorWatch, describe_floors, find_floors
 
@@ -82,8 +82,8 @@ def touch_sensors(case: Case) -> Iterator[str]:
         )
 
 
-def ignored_parts(case: Case) -> Iterator[str]:
-    """Check that no flex and no geom of a mocap body is ignored, unless the user has chosen."""
+def flexes(case: Case) -> Iterator[str]:
+    """Check that no flex is ignored, unless the user has chosen what meets the sand."""
     model, spec = case.model, case.spec
     if spec.groups is not None or is_choice(spec.bodies) or is_choice(spec.geoms):
         return
@@ -93,16 +93,6 @@ def ignored_parts(case: Case) -> Iterator[str]:
                 f"the sand does not act on flex {name_of(model, 'flex', flex) or flex!r}: it feels "
                 "geoms of rigid bodies alone; name with bodies=[...] those that meet it"
             )
-    for geom in range(model.ngeom):
-        body = int(model.geom_bodyid[geom])
-        mocap = mocap_above(model, body)
-        if mocap is not None and collides(model, geom) and not moves(model, body):
-            yield (
-                f"the sand does not act on mocap body {body_name(model, mocap)}, to which MuJoCo "
-                "gives no velocity: put its geoms on a free body and <weld> that to it, or name "
-                "with bodies=[...] those that meet the sand"
-            )
-            return
 
 
 def _bodies_of_flex(model: mujoco.MjModel, flex: int) -> set[int]:
@@ -181,9 +171,6 @@ def points(case: Case) -> Iterator[str]:
 
 # Values that are implausible for sand: most likely a wrong unit
 
-_DENSITIES = (10.0, 25000.0)
-"""Density of a medium [kg/m^3]: from snow to tungsten powder. In g/cm^3 it is 0.01 to 25."""
-
 _LONGEST_STEP = 0.1
 """Time step [s]. MuJoCo's own models have 1 to 10 ms; a body that falls 1 cm into sand is at rest
 after 50 ms. A value in milliseconds is 1 or more."""
@@ -192,9 +179,6 @@ _DEEPEST_START = 1.0
 """Depth of the highest point of all that meets the sand [m]. Laws hold to some widths of a body. A
 height in millimeters, or with the wrong sign, is further off. For a robot the limit is half its
 largest geom."""
-
-_WIDEST = 10.0
-"""Width of a geom that meets the sand [m]: an excavator's. A geom drawn in millimeters has more."""
 
 _STEEPEST = math.radians(75)
 """Angle between gravity and the way into a plane of sand. Sand slides from 35 degrees on; with
@@ -210,19 +194,6 @@ _OF_SAND = (LinkLaw, DistributedLinkLaw, RftLaw, DepthVelocityLaw)
 """Laws known to be of sand: a custom law may be of mud, or of a lake."""
 
 
-def density(case: Case) -> Iterator[str]:
-    """Check the density of the medium."""
-    value, (low, high) = getattr(case.law, "density", None), _DENSITIES
-    if isinstance(value, (int, float)) and value > 0 and not low <= value <= high:
-        likely = "densities are in kg/m^3"
-        if low <= 1000 * value <= high:
-            likely = f"{value:g} g/cm^3 is {1000 * value:g} kg/m^3"
-        yield (
-            f"the law {case.law.name!r} has a density of {value:g} kg/m^3, and sand has {low:g} to "
-            f"{high:g}: {likely}"
-        )
-
-
 def timestep(case: Case) -> Iterator[str]:
     """Check the time step."""
     step = case.model.opt.timestep
@@ -230,20 +201,6 @@ def timestep(case: Case) -> Iterator[str]:
         yield (
             f"the time step is {step:g} s, in which what falls is far below the sand before it "
             f"is met: {step:g} ms is {step / 1000:g} s"
-        )
-
-
-def sizes(case: Case) -> Iterator[str]:
-    """Check that geoms are not drawn in millimeters."""
-    model, geoms = case.model, case.geoms
-    if not (model.geom_size[list(geoms)] < LARGEST).all():
-        return  # an error where the elements are made
-    largest = max(geoms, key=lambda geom: model.geom_rbound[geom])
-    across = 2 * float(model.geom_rbound[largest])
-    if across > _WIDEST:
-        yield (
-            f"geom {geom_name(model, largest)} is {across:.3g} m across: lengths are in meters, "
-            f"and {across:.3g} mm is {across / 1000:.3g} m"
         )
 
 
@@ -362,22 +319,13 @@ MANY = 20_000
 takes twice the two milliseconds that models of robots have for a time step."""
 
 
-def coarser(elements: np.ndarray, resolution: int | None, most: int) -> str:
-    """Return advice on how to get fewer elements, at most `most` of them."""
-    advice = "take fewer geoms"
-    if "normal" not in (elements.dtype.names or ()):
-        return advice
-    # The count grows with its square; edges are cut into an integer number, hence one less.
-    fits = math.floor((resolution or RESOLUTION) * math.sqrt(most / len(elements)))
-    lower = max(2, fits - 1)
-    return f"resolution={lower} would make some {most:,}, or {advice}"
-
-
-def cost(elements: np.ndarray, resolution: int | None) -> Iterator[str]:
+def cost(elements: np.ndarray) -> Iterator[str]:
     """Check that the number of elements does not make steps slow."""
     if len(elements) > MANY:
-        advice = coarser(elements, resolution, FACETS)
-        yield f"{len(elements):,} elements take milliseconds in each step: {advice}"
+        yield (
+            f"{len(elements):,} elements take milliseconds in each step: take a lower resolution, "
+            "or fewer geoms"
+        )
 
 
 def missed_steps(
@@ -401,32 +349,14 @@ def missed_steps(
     )
 
 
-# What the cells of a memory cannot represent
-
-
-def cells(
-    model: mujoco.MjModel, geoms: Sequence[int], surface: Surface, memory: Memory
-) -> Iterator[str]:
-    """Check that no geom is narrower than a cell."""
-    narrow = min(geoms, key=lambda geom: geom_width(model, geom))
-    width = geom_width(model, narrow)
-    if width < memory.cell * (1 - 1e-9):
-        yield (
-            f"the memory's cells of {1e3 * memory.cell:g} mm are larger than geom "
-            f"{geom_name(model, narrow)}, which is {1e3 * width:.3g} mm wide: its print is a cell; "
-            f"take cells of {1e3 * width / 4:.2g} mm"
-        )
-
-
-def buried_geoms(
-    model: mujoco.MjModel, geoms: Sequence[int], surface: Surface, memory: Memory
-) -> Iterator[str]:
-    """Check that no geom starts fully under the sand; heights of a field may be set later."""
-    if isinstance(surface, HeightField):
+def buried_geoms(case: Case) -> Iterator[str]:
+    """Check that no geom starts fully under sand with memory; heights may be set later."""
+    model, surface, memory = case.model, case.surface, case.memory
+    if memory is None or isinstance(surface, HeightField):
         return
     frame, data = frame_of(surface, surface.record(model)[0]), _data_at_start(model)
     deepest, under = -1, memory.cell
-    for geom in geoms:
+    for geom in case.geoms:
         place = data.geom_xpos[geom] - frame["origin"]
         axes = data.geom_xmat[geom].reshape(3, 3)
         top = place @ frame["normal"] + np.abs(frame["normal"] @ axes) @ half_extents(model, geom)
@@ -445,23 +375,16 @@ def buried_geoms(
 
 CHECKS = (
     (touch_sensors, UnfeltWarning),
-    (ignored_parts, UnfeltWarning),
+    (flexes, UnfeltWarning),
     (floors, FloorWarning),
-    (density, RangeWarning),
     (timestep, RangeWarning),
-    (sizes, RangeWarning),
     (gravity, RangeWarning),
     (slope, RangeWarning),
     (start, RangeWarning),
+    (buried_geoms, GranularWarning),
     (points, PointsWarning),
 )
 """Checks of a case, made once."""
-
-CHECKS_OF_MEMORY = (
-    (cells, GranularWarning),
-    (buried_geoms, GranularWarning),
-)
-"""Checks of a model, the geoms that meet the sand, its surface, and a memory that fits them."""
 
 CHECKS_OF_TIME = ((missed_steps, MissedStepWarning),)
 CHECKS_OF_CONTACTS = ((contacts, FloorWarning),)

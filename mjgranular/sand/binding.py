@@ -19,7 +19,7 @@ from mjgranular.kernel.records import BODY_DTYPE, CONTACT_DTYPE
 from mjgranular.sand.guard import Snapshot, add_again, withdraw
 from mjgranular.sand.prepare import PreparedSand
 from mjgranular.scheme.scheme import Workspace
-from mjgranular.scheme.status import EVERY_INTEGRATOR, bits_of, nanoseconds
+from mjgranular.scheme.status import nanoseconds
 from mjgranular.shape.select import body_name, last_dof
 
 
@@ -68,8 +68,6 @@ def bind(
     bodies["last_wrench"] = np.nan  # NaN equals nothing: the first rows found are the user's
     contacts = np.zeros(len(elements), CONTACT_DTYPE)
     snapshot = Snapshot(model, data)
-    # As passive forces, they are computed at any stage of the integrator.
-    anywhere = within and not scheme.whole_state
     workspace = scheme.workspace(model, data, elements, sand.kernel, within=within)
     scene = sand.scene
     if state is None:
@@ -77,8 +75,7 @@ def bind(
     if sand.footprint is not None:
         scene = scene.copy()
         scene["surface"]["state"] = state.ctypes.data
-    integrators = EVERY_INTEGRATOR if anywhere else bits_of(scheme.integrators)
-    numbers = (model.nbody, model.nv, len(elements), len(bodies), integrators)
+    numbers = (model.nbody, model.nv, len(elements), len(bodies))
     arrays = (
         model.dof_parentid,
         data.xpos,

@@ -12,7 +12,7 @@ from mjgranular.relief.footprint import Footprint, footprint_of, surroundings_of
 from mjgranular.relief.memory import Memory, as_memory
 from mjgranular.relief.relief import Relief
 from mjgranular.sand import advice
-from mjgranular.sand.material import elements_of, material_of
+from mjgranular.sand.material import material_of
 from mjgranular.sand.spec import SandSpec
 from mjgranular.shape import select_geoms
 from mjgranular.surface import Surface
@@ -43,7 +43,7 @@ def choose_sand(model: mujoco.MjModel, spec: SandSpec) -> ChosenSand:
     replaced = replace_geoms(model, spec.instead_of)
     case = advice.Case(model, spec, geoms, law, surface, as_memory(spec.memory))
     advice.warn(advice.CHECKS, case)
-    elements = elements_of(model, geoms, law, spec.resolution)
+    elements = law.elements(model, geoms, spec.resolution)
     advice.warn([(advice.link_law, GranularWarning)], case)
     return ChosenSand(
         medium=medium,
@@ -69,8 +69,7 @@ def geoms_in_sand(model: mujoco.MjModel, spec: SandSpec) -> list[int]:
 def remembering(
     model: mujoco.MjModel, chosen: ChosenSand, memory: Memory
 ) -> tuple[Relief, Footprint]:
-    """Return the surface of a sand with that memory, and the skin of its bodies; warn if needed."""
+    """Return the surface of a sand with that memory, and the skin of its bodies."""
     surface, geoms = chosen.surface, list(chosen.geoms)
     relief = Relief(surface, memory, surroundings_of(model, geoms, memory))
-    advice.warn(advice.CHECKS_OF_MEMORY, model, geoms, surface, memory)
     return relief, footprint_of(model, geoms, chosen.elements, memory.cell)

@@ -1,15 +1,9 @@
 """Medium and law of a sand: as given, or derived from each other and from the model."""
 
-import logging
-from collections.abc import Sequence
-from dataclasses import MISSING, fields
-
 import mujoco
-import numpy as np
 
-from mjgranular.errors import InputError, UnknownNameError, listed
-from mjgranular.law import DistributedLinkLaw, Law, LinkLaw, get_law, law_in, laws
-from mjgranular.law.rft import RftLaw
+from mjgranular.errors import InputError, UnknownNameError
+from mjgranular.law import Law, get_law, law_in
 from mjgranular.medium import Medium, get_medium, media
 from mjgranular.sand.spec import SandSpec
 
@@ -21,10 +15,6 @@ LAW_TEXT = "mjgranular.law"
 
 _FIRST_MEDIA = ("play_sand", DEFAULT_MEDIUM)
 """Media that are searched first for a law's constants if only a law is given."""
-
-_CAPSULE = int(mujoco.mjtGeom.mjGEOM_CAPSULE)
-_CYLINDER = int(mujoco.mjtGeom.mjGEOM_CYLINDER)
-_logger = logging.getLogger(__name__)
 
 
 def material_of(model: mujoco.MjModel, spec: SandSpec) -> tuple[Medium, Law]:
@@ -41,10 +31,7 @@ def material_of(model: mujoco.MjModel, spec: SandSpec) -> tuple[Medium, Law]:
         medium = get_medium(spec.medium)
     else:
         medium = media[DEFAULT_MEDIUM] if law is None else medium_for(law)
-    law = law_of(law, medium)
-    if spec.medium is None:
-        _logger.info("chosen by default: medium %s, law %s", medium.name, law.name)
-    return medium, law
+    return medium, get_law(law, medium)
 
 
 def law_named_in(model: mujoco.MjModel) -> str | None:
@@ -56,56 +43,19 @@ def law_named_in(model: mujoco.MjModel) -> str | None:
     return bytes(model.text_data[start : start + size]).rstrip(b"\0").decode(errors="replace")
 
 
-def law_of(law: str | Law | type[Law] | None, medium: Medium) -> Law:
-    """Return the law with a medium's constants (`get_law`); errors name media that have them."""
-    try:
-        return get_law(law, medium)
-    except UnknownNameError as error:
-        if error.kind == "law" or law is None or isinstance(law, Law):
-            raise
-        kind = law_in(law)[0] if isinstance(law, str) else law
-        others = [name for name in media if has_constants(media[name], kind)]
-        if not others:
-            known = fields(kind)  # pyright: ignore[reportArgumentType]
-            needed = [f"{field.name}=..." for field in known if field.default is MISSING]
-            raise InputError(
-                f"no medium has constants for the law {kind.name!r}: give it {', '.join(needed)}"
-            ) from None
-        hint = f"media with constants for it: {listed(others)}"
-        raise UnknownNameError(error.kind, error.name, error.known, hint, guess=False) from None
-
-
-def medium_for(law: str | Law | type[Law]) -> Medium:
+def medium_for(law: str | Law) -> Medium:
     """Return the default medium of a law."""
-    if isinstance(law, str):
-        law, _ = law_in(law)
-    kind = type(law) if isinstance(law, Law) else law
+    kind = type(law) if isinstance(law, Law) else law_in(law)[0]
     for name in (*_FIRST_MEDIA, *(name for name in media if name not in _FIRST_MEDIA)):
         if has_constants(media[name], kind):
             return media[name]
     return media[_FIRST_MEDIA[0]]
 
 
-def elements_of(
-    model: mujoco.MjModel, geoms: Sequence[int], law: Law, resolution: int | None
-) -> np.ndarray:
-    """Return the elements of a law; errors of link laws name the media that take every shape."""
-    try:
-        return law.elements(model, geoms, resolution)
-    except InputError as error:
-        rods = np.isin(model.geom_type[geoms], (_CAPSULE, _CYLINDER)).all()
-        if rods or not isinstance(law, (LinkLaw, DistributedLinkLaw)):
-            raise
-        every = [name for name in media if issubclass(laws[media[name].default_law], RftLaw)]
-        raise InputError(
-            f"{error}; or take a medium whose own law takes every shape: {listed(every)}"
-        ) from None
-
-
-def has_constants(medium: Medium, law: str | Law | type[Law] | None) -> bool:
+def has_constants(medium: Medium, law: type[Law]) -> bool:
     """Return True if a medium has the constants of a law."""
     try:
-        get_law(law, medium)
+        law.from_medium(medium)
     except (InputError, UnknownNameError):
         return False
     return True

@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 import mujoco
 import numpy as np
 
-from mjgranular.errors import CostWarning, InputError
+from mjgranular.errors import CostWarning
 from mjgranular.kernel.compiled import program_addresses
-from mjgranular.law import Law, make_scene
+from mjgranular.law import make_scene
 from mjgranular.law.kernel import LawKernel
 from mjgranular.relief.footprint import Footprint, fitting
 from mjgranular.relief.memory import as_memory
@@ -15,9 +15,8 @@ from mjgranular.relief.update import update_program
 from mjgranular.sand import advice
 from mjgranular.sand.chosen import ChosenSand, choose_sand, geoms_in_sand, remembering
 from mjgranular.sand.spec import SandSpec, combined
-from mjgranular.scheme import Auto, Explicit, Scheme, get_scheme
-from mjgranular.scheme.auto import FINE_STEP
-from mjgranular.scheme.scheme import FORCES, STEP, SchemeChoice
+from mjgranular.scheme import Scheme, get_scheme
+from mjgranular.scheme.scheme import FORCES, STEP
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,16 +38,13 @@ class PreparedSand(ChosenSand):
 def prepare(model: mujoco.MjModel, spec: SandSpec, *, within: bool = False) -> PreparedSand:
     """Prepare a sand for a model, in which contacts of the sand's own geoms are switched off.
 
-    Inside `mj_step` (`within`) the model must be a copy: its integrator may change too. Errors list
-    the names that exist, or say why law or scheme cannot take the model.
+    `within` is whether the sand acts inside `mj_step`. Errors list the names that exist, or say why
+    law or scheme cannot take the model.
     """
     scheme = get_scheme(spec.scheme)
-    if not within:
-        scheme.check(model)
+    scheme.check(model)
     chosen = choose_sand(model, spec)
     law, surface, elements = chosen.law, chosen.surface, chosen.elements
-    if within:
-        scheme = _scheme_within_step(scheme, model, law)
     scheme = scheme.scheme_for(model, len(elements), adds_mass=law.adds_mass)
     scheme.check(model)
     memory, footprint = as_memory(spec.memory), None
@@ -56,7 +52,7 @@ def prepare(model: mujoco.MjModel, spec: SandSpec, *, within: bool = False) -> P
         # Within `mj_step` its size was fixed before there was a model (`fitted`).
         memory = memory if within else fitting(model, chosen.geoms, memory)
         surface, footprint = remembering(model, chosen, memory)
-    advice.warn([(advice.cost, CostWarning)], elements, spec.resolution)
+    advice.warn([(advice.cost, CostWarning)], elements)
     scene = make_scene(law, chosen.medium, surface, model)
     if footprint is not None:
         scene["surface"]["points"] = footprint.points.ctypes.data
@@ -98,22 +94,3 @@ def fitted(model: mujoco.MjModel, spec: SandSpec) -> SandSpec:
     if memory is None:
         return spec
     return combined(spec, {"memory": fitting(model, geoms_in_sand(model, spec), memory)})
-
-
-def _scheme_within_step(scheme: SchemeChoice, model: mujoco.MjModel, law: Law) -> SchemeChoice:
-    """Return the scheme for use inside `mj_step`; RK4 evaluates forces four times a step."""
-    if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
-        fine = isinstance(scheme, Auto) and model.opt.timestep <= FINE_STEP
-        if law.adds_mass or not (fine or isinstance(scheme, Explicit)):
-            raise InputError(
-                "a force that belongs to the end of the step has no place in the four stages of "
-                "the integrator RK4: set the model's integrator to implicitfast, implicit or "
-                "Euler, or scheme='explicit' with steps of microseconds"
-                f"{' and a law without added mass' if law.adds_mass else ''}"
-            )
-        if fine:
-            scheme = Explicit()
-    if isinstance(scheme, Explicit):
-        # Between mj_step1 and mj_step2 RK4 would act as Euler: an error. Within mj_step it is RK4.
-        model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
-    return scheme

@@ -1,9 +1,8 @@
 """Reports of the sand's action on a model at one instant, for people, logs and plots."""
 
 import math
-from dataclasses import asdict, dataclass, fields
-from functools import cached_property
-from typing import Any, Self
+from dataclasses import dataclass
+from typing import Self
 
 import mujoco
 import numpy as np
@@ -20,37 +19,30 @@ _SHOWN = 3  # bodies in a report's `repr`
 _SLOW, _TURN = 0.01, 0.2
 
 
-@dataclass(frozen=True)
-class ElementReport:
-    """The sand on one element. Vectors are in the world frame.
+_VECTORS = ("point", "velocity", "force")
+_NUMBERS = ("depth", "immersed_length", "power", "froude", "width")
+ELEMENT_DTYPE = np.dtype(
+    [
+        *((name, np.int64) for name in ("geom", "body")),
+        *((name, np.float64) for name in _NUMBERS),
+        *((name, np.float64, (3,)) for name in _VECTORS),
+    ]
+)
+"""Fields of `Report.elements`. Vectors are in the world frame.
 
-    Attributes:
-        geom: name of the geom that the element was made from, or its number.
-        body: name of the body, or its number.
-        depth: depth of the element below the surface, of a rod's deeper end [m]; negative above it.
-        immersed_length: length of a rod in the sand [m]; 0 for other elements.
-        point: E, where the force acts [m], shape (3,); the element's middle above the sand.
-        velocity: velocity of that point [m/s], shape (3,); zero above the sand. It is that at the
-            beginning of the step.
-        force: force of the sand on the element [N], shape (3,).
-        power: power of that force on the body [W]. Under the implicit scheme it is that at the end
-            of the step, where the force is: never positive in sum over a body, and up to a
-            hundredth of the greatest for one element.
-        froude: Froude number |v_E| / sqrt(g w) with the geom's width w, a rod's diameter; 0
-            without gravity.
-        width: width of the geom [m].
-    """
-
-    geom: str
-    body: str
-    depth: float
-    immersed_length: float
-    point: np.ndarray
-    velocity: np.ndarray
-    force: np.ndarray
-    power: float
-    froude: float
-    width: float
+- `geom`, `body`: ids of the geom that the element was made from, and of its body.
+- `depth`: depth of the element below the surface, of a rod's deeper end [m]; negative above it.
+- `immersed_length`: length of a rod in the sand [m]; 0 for other elements.
+- `point`: E, where the force acts [m]; the element's middle above the sand.
+- `velocity`: velocity of that point at the beginning of the step [m/s]; zero above the sand.
+- `force`: force of the sand on the element [N].
+- `power`: power of that force on the body [W]. Under the implicit scheme it is that at the end of
+  the step, where the force is: never positive in sum over a body, and up to a hundredth of the
+  greatest for one element.
+- `froude`: Froude number |v_E| / sqrt(g w) with the geom's width w, a rod's diameter; 0 without
+  gravity.
+- `width`: width of the geom [m].
+"""
 
 
 @dataclass(frozen=True)
@@ -92,26 +84,6 @@ class BodyReport:
     def valid(self) -> bool:
         """True if the law is valid for this body now."""
         return all(standing.holds for standing in self.validity)
-
-
-@dataclass(frozen=True)
-class ElementTable:
-    """The sand on all elements, as arrays with a row for each.
-
-    The columns are those of `ElementReport`, with the same meaning and units; geoms and bodies are
-    ids. Shapes are (n,), of `point`, `velocity` and `force` (n, 3).
-    """
-
-    geom: np.ndarray
-    body: np.ndarray
-    depth: np.ndarray
-    immersed_length: np.ndarray
-    point: np.ndarray
-    velocity: np.ndarray
-    force: np.ndarray
-    power: np.ndarray
-    froude: np.ndarray
-    width: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -160,7 +132,8 @@ class Report:
     Attributes:
         time: time of the simulation [s].
         bodies: one report per body, in the order of the model.
-        table: all elements, as arrays.
+        elements: a record for each element, shape (n,), with the fields of `ELEMENT_DTYPE`:
+            `elements.depth` has all depths, `elements[0].depth` is one.
         names: names of geoms and bodies, by their ids.
         medium: name of the medium.
         law: name of the law.
@@ -170,14 +143,14 @@ class Report:
 
     time: float
     bodies: tuple[BodyReport, ...]
-    table: ElementTable
+    elements: np.recarray
     names: Names
     medium: str
     law: str
     solver: Solver | None = None
 
     def __repr__(self) -> str:
-        """Return each body's depth and force; `as_dict` has all."""
+        """Return each body's depth and force."""
         bodies = [
             f"{body.body} {1e3 * body.depth:.4g} mm deep, {_size(body.force):.4g} N"
             for body in self.bodies[:_SHOWN]
@@ -197,26 +170,6 @@ class Report:
                 return report
         raise UnknownNameError("body with sand on it", str(body), [r.body for r in self.bodies])
 
-    @cached_property
-    def elements(self) -> tuple[ElementReport, ...]:
-        """One report per element, made at the first access."""
-        columns = [getattr(self.table, field.name) for field in fields(ElementReport)]
-        columns = [column if column.ndim > 1 else column.tolist() for column in columns]
-        return tuple(
-            ElementReport(self.names.geoms[geom], self.names.bodies[body], *rest)
-            for geom, body, *rest in zip(*columns, strict=True)
-        )
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return plain numbers and lists, as for JSON."""
-        return {
-            "time": self.time,
-            "medium": self.medium,
-            "law": self.law,
-            "bodies": [_plain(body) for body in self.bodies],
-            "elements": [_plain(element) for element in self.elements],
-        }
-
 
 @np.errstate(over="ignore", invalid="ignore")  # overflow is reported as infinite
 def describe(
@@ -233,7 +186,7 @@ def describe(
 
     Gravity is a magnitude [m/s^2], and the slope of the surface is in radians.
     """
-    table = _element_table(data, sand.elements, binding.contacts, gravity)
+    table = _element_records(data, sand.elements, binding.contacts, gravity)
     limits, grain = sand.law.validity, sand.medium.grain and sand.medium.grain.value
     findings = sand.law.findings
     bodies, first = [], 0
@@ -263,7 +216,7 @@ def describe(
     return Report(
         time=float(data.time),
         bodies=tuple(bodies),
-        table=table,
+        elements=table,
         names=names,
         medium=sand.medium.name,
         law=sand.law.name,
@@ -271,35 +224,30 @@ def describe(
     )
 
 
-def _element_table(
+def _element_records(
     data: mujoco.MjData, elements: np.ndarray, contacts: np.ndarray, gravity: float
-) -> ElementTable:
+) -> np.recarray:
     """Copy the contacts; above the sand kernels write only the depth."""
-    dry = contacts["depth"] <= 0
-    point, velocity = contacts["point"].copy(), contacts["velocity"].copy()
-    force, length = contacts["force"].copy(), contacts["length"].copy()
-    power = contacts["power"].copy()
-    velocity[dry], force[dry], length[dry], power[dry] = 0.0, 0.0, 0.0, 0.0
+    table = np.recarray(len(elements), ELEMENT_DTYPE)
+    for name in ("geom", "body", "width"):
+        table[name] = elements[name]
+    for name in ("depth", "power", *_VECTORS):
+        table[name] = contacts[name]
+    table["immersed_length"] = contacts["length"]
+    dry = table["depth"] <= 0
+    for name in ("velocity", "force", "immersed_length", "power"):
+        table[name][dry] = 0.0
     local = elements["point" if "point" in (elements.dtype.names or ()) else "center"][dry]
     body = elements["body"][dry]
-    point[dry] = data.xpos[body] + np.einsum("nij,nj->ni", data.xmat[body].reshape(-1, 3, 3), local)
-    speed = np.sqrt((velocity**2).sum(axis=1))
+    turned = np.einsum("nij,nj->ni", data.xmat[body].reshape(-1, 3, 3), local)
+    table["point"][dry] = data.xpos[body] + turned
+    speed = np.sqrt((table["velocity"] ** 2).sum(axis=1))
     scale = np.sqrt(gravity * elements["width"])
-    return ElementTable(
-        geom=elements["geom"],
-        body=elements["body"],
-        depth=contacts["depth"].copy(),
-        immersed_length=length,
-        point=point,
-        velocity=velocity,
-        force=force,
-        power=power,
-        froude=np.divide(speed, scale, out=np.zeros_like(speed), where=scale > 0),
-        width=elements["width"],
-    )
+    table["froude"] = np.divide(speed, scale, out=np.zeros_like(speed), where=scale > 0)
+    return table
 
 
-def _turns(table: ElementTable, immersed: np.ndarray) -> bool:
+def _turns(table: np.recarray, immersed: np.ndarray) -> bool:
     """Return True if a body turns in the sand, from the spread of its elements' velocities."""
     point, velocity = table.point[immersed], table.velocity[immersed]
     speed, across = _rms(velocity), _rms(point - point.mean(axis=0))
@@ -314,7 +262,7 @@ def _rms(vectors: np.ndarray) -> float:
 
 
 def _measures(
-    table: ElementTable, immersed: np.ndarray, *, gravity: float, slope: float, grain: float | None
+    table: np.recarray, immersed: np.ndarray, *, gravity: float, slope: float, grain: float | None
 ) -> dict[Measure, float | None]:
     """Return the measures of validity of one body: the largest over its elements in the sand."""
     measures: dict[Measure, float | None] = {
@@ -338,16 +286,3 @@ def _measures(
 
 def _size(vector: np.ndarray) -> float:
     return float(np.linalg.norm(vector))
-
-
-def _plain(report: Any) -> dict[str, Any]:
-    """Return a report as names and plain numbers; its validity as measures with values."""
-    plain: dict[str, Any] = {}
-    for field in fields(report):
-        value = getattr(report, field.name)
-        if field.name == "validity":
-            value = {s.limit.measure: {"value": s.value, "most": s.limit.most} for s in value}
-        if isinstance(value, Finding):
-            value = asdict(value)
-        plain[field.name] = value.tolist() if isinstance(value, np.ndarray) else value
-    return plain

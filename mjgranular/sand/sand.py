@@ -52,7 +52,7 @@ class Sand:
 
     With `memory` the sand keeps the prints of what has stood in it, separately for each `MjData`,
     until time goes back (`mj_resetData`), or the `MjData` is released (`release`). A copy of an
-    `MjData` starts with untouched sand unless `copy_memory` is called; so does a pickled `Sand`.
+    `MjData` starts with untouched sand unless `restore_memory` is called; so does a pickled `Sand`.
     After an `UnstableError` the sand is as the failed step has left it.
 
     Two `Sand`s, of two beds with two media for example, act in one simulation by `apply`, each once
@@ -252,21 +252,12 @@ class Sand:
             middle = place_in_plane(surface.base, self._model, places.mean(axis=0))
         return heights_of(state, surface.memory, middle)
 
-    def copy_memory(self, origin: mujoco.MjData, to: mujoco.MjData) -> None:
-        """Copy the sand's memory from one simulation to another that has a copy of its state.
-
-        MuJoCo does not copy it: after `mj_copyData`, `mj_setState` or `copy.copy` call this too.
-        (Sand inside `mj_step` has its heights in MuJoCo's state.)
-
-        Raises:
-            InputError: the sand has no memory.
-        """
-        known, state = self._state_of(origin), self._state_of(to)
-        state[:] = known
-        state[TIME] = to.time  # whatever it is, so that the copy is not cleared
-
     def save_memory(self, data: mujoco.MjData) -> np.ndarray:
         """Return the memory of a simulation's sand as an array, for `restore_memory`.
+
+        MuJoCo does not copy it: after `mj_copyData`, `mj_setState` or `copy.copy` call
+        `sand.restore_memory(to, sand.save_memory(origin))` too. (Sand inside `mj_step` has its
+        heights in MuJoCo's state.)
 
         Raises:
             InputError: the sand has no memory.

@@ -1,6 +1,5 @@
 """Automatic choice of the scheme."""
 
-import logging
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -9,8 +8,6 @@ import mujoco
 from mjgranular.scheme.explicit import Explicit
 from mjgranular.scheme.implicit import Implicit
 from mjgranular.scheme.scheme import Scheme, SchemeChoice, schemes
-
-_logger = logging.getLogger(__name__)
 
 # Both chosen. Below this step the paper's link creeps by less than 0.5 mm/s with the explicit
 # scheme, which is of second order there (docs/scheme.md). Above this number of elements a step of
@@ -28,7 +25,6 @@ class Auto(SchemeChoice):
     """
 
     name: ClassVar[str] = "auto"
-    title: ClassVar[str] = "implicit, or explicit for fine steps and very many elements"
 
     def scheme_for(
         self, model: mujoco.MjModel, elements: int, *, adds_mass: bool = False
@@ -37,9 +33,7 @@ class Auto(SchemeChoice):
         if elements > MANY_ELEMENTS and step > FINE_STEP:
             limit = _FINE_OF_MANY
         fine = step <= limit and not adds_mass
-        chosen = Explicit(longest_step=limit) if fine else Implicit()
-        _logger.info("scheme %s for %d elements and steps of %g s", chosen.name, elements, step)
-        return chosen
+        return Explicit(longest_step=limit) if fine else Implicit()
 
 
 schemes.add(Auto.name, Auto)

@@ -25,7 +25,8 @@ from mjgranular.scheme.forces import (
     damp_kernel,
     follow_kernel,
     move_kernel,
-    respond_kernel,
+    resistance_kernel,
+    with_momentum,
 )
 from mjgranular.scheme.layout import tile_size
 from mjgranular.scheme.sampling import sampling_kernel
@@ -84,7 +85,8 @@ def forces_program(kernel: LawKernel, law_dtype: np.dtype) -> Any:
     forces in the tiles. It returns the greatest mismatch, for `FOLLOW` the greatest turn
     (`law.kernel`).
     """
-    move, respond, damp = move_kernel(kernel), respond_kernel(kernel), damp_kernel(kernel)
+    move, damp = move_kernel(kernel), damp_kernel(kernel)
+    respond = with_momentum(kernel, resistance_kernel(kernel))
     add, follow = add_kernel(kernel.lanes), follow_kernel(kernel)
     laws = records(law_dtype)  # the law is the first field of a scene
 

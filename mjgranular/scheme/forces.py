@@ -151,11 +151,6 @@ def by_complexity(kernel: LawKernel, in_lanes: Any, *, soft: bool) -> Any:
     return respond
 
 
-def respond_kernel(kernel: LawKernel) -> Any:
-    """Make the kernel `respond(tile, law, g, eps)`: it sets forces and derivatives."""
-    return with_momentum(kernel, resistance_kernel(kernel))
-
-
 def damp_kernel(kernel: LawKernel) -> Any:
     """Make the kernel `damp(tile, law, g, eps)`: `respond` with secants in place of derivatives.
 

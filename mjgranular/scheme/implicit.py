@@ -63,7 +63,7 @@ from mjgranular.scheme.metric import is_unsupported, make_metric
 from mjgranular.scheme.passivity import passive_share
 from mjgranular.scheme.scheme import Scheme, Workspace, schemes
 from mjgranular.scheme.solver import find_velocity, lane_vector
-from mjgranular.scheme.status import BAD_METRIC, BAD_STATE, FINE, check_options
+from mjgranular.scheme.status import BAD_METRIC, FINE, check_options
 from mjgranular.scheme.workspace import (
     DISCRETE,
     make_workspace,
@@ -71,7 +71,7 @@ from mjgranular.scheme.workspace import (
     read_options,
     workspace_at,
 )
-from mjgranular.scheme.wrenches import add_wrenches, find_bad_wrench, is_bad, withdraw_wrenches
+from mjgranular.scheme.wrenches import add_wrenches, find_bad_wrench, withdraw_wrenches
 
 _UNFINISHED = 1e-6  # relative residual of the momentum above which a step counts as unfinished
 _NOTHING = 1e-150  # smallest momentum to divide by
@@ -87,7 +87,6 @@ class Implicit(Scheme):
     """
 
     name: ClassVar[str] = "implicit"
-    title: ClassVar[str] = "forces at the end of the step: exact rest, large steps"
     whole_state: ClassVar[bool] = True
 
     evaluations: int = 160
@@ -136,8 +135,6 @@ schemes.add(Implicit.name, Implicit)
 def implicit_program(address, lead):
     """Compute the wrenches at the end of the step; see `Scheme.program`."""
     table = table_at(address)
-    if is_bad(table):
-        return BAD_STATE
     status = check_options(table)
     if status != FINE:
         return status

@@ -23,8 +23,6 @@ STEP = "int64(int64, float64)"  # signature of the program of a scheme
 FORCES = "float64(int64, int64, int64, float64, int64, float64)"
 """Signature of the program of a law (`Scheme.forces`)."""
 
-_SPELLED = {"EULER": "Euler"}
-
 
 @dataclass(frozen=True)
 class Workspace:
@@ -41,11 +39,9 @@ class SchemeChoice(ABC):
 
     Attributes:
         name: name in the registry.
-        title: one line for lists.
     """
 
     name: ClassVar[str]
-    title: ClassVar[str]
 
     @abstractmethod
     def scheme_for(
@@ -57,9 +53,9 @@ class SchemeChoice(ABC):
         """Check that the scheme can step a model; the error says what to set instead."""
         if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
             raise InputError(
-                "the integrator RK4 cannot be stepped with a force from outside: mj_step1 and "
-                "mj_step2 would silently be Euler; set the model's integrator to Euler, implicit "
-                "or implicitfast"
+                "the integrator RK4 cannot be stepped with sand, whose force belongs to one step "
+                "and not to four stages: set the model's integrator to Euler, implicit or "
+                "implicitfast"
             )
 
 
@@ -69,11 +65,9 @@ class Scheme(SchemeChoice):
     Attributes:
         whole_state: whether its forces depend on more than `qpos` and `qvel`: on actuators, applied
             and passive forces, constraints.
-        integrators: MuJoCo integrators that support forces computed outside the step.
     """
 
     whole_state: ClassVar[bool] = False
-    integrators: ClassVar[tuple[str, ...]] = ("EULER", "IMPLICIT", "IMPLICITFAST", "DISCRETE")
 
     @property
     def step_limit(self) -> float:
@@ -101,10 +95,9 @@ class Scheme(SchemeChoice):
                 "Newton and CG (opt.solver), without the flag ipc (opt.enableflags): set these, "
                 "another integrator, or scheme='explicit'"
             )
-        *first, last = (_SPELLED.get(name, name.lower()) for name in self.integrators)
         return (
             "the sand cannot be stepped with the integrator that the model has now "
-            f"(opt.integrator, such as RK4): set it to {', '.join(first)} or {last}"
+            "(opt.integrator, such as RK4): set it to Euler, implicit, implicitfast or discrete"
         )
 
     @property
@@ -159,8 +152,8 @@ class Scheme(SchemeChoice):
         return Workspace(np.zeros(0, np.int64))
 
 
-def get_scheme(scheme: str | SchemeChoice | type[SchemeChoice]) -> SchemeChoice:
-    """Return the scheme of that name or class, or `scheme` itself.
+def get_scheme(scheme: str | SchemeChoice) -> SchemeChoice:
+    """Return the scheme of that name, or `scheme` itself.
 
     A name may be followed by options, such as "implicit evaluations=9"; others keep their defaults.
 
@@ -168,8 +161,6 @@ def get_scheme(scheme: str | SchemeChoice | type[SchemeChoice]) -> SchemeChoice:
         UnknownNameError: no such scheme; lists the existing ones.
         InputError: the scheme does not have that option, or its value has a wrong type.
     """
-    if isinstance(scheme, type) and issubclass(scheme, SchemeChoice):
-        return scheme()
     if isinstance(scheme, SchemeChoice):
         return scheme
     if not isinstance(scheme, str) or not scheme.strip():

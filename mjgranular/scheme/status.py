@@ -5,13 +5,12 @@ them reports that before it computes anything.
 """
 
 import math
-from collections.abc import Iterable
 from functools import partial
 
 import mujoco
 
 from mjgranular.kernel.compiled import compiled
-from mjgranular.kernel.memory import INTEGRATORS, LONGEST_STEP
+from mjgranular.kernel.memory import LONGEST_STEP
 from mjgranular.kernel.options import options_at
 
 FINE = -1  # success
@@ -27,10 +26,10 @@ BAD_METRIC = -7
 REFUSED = (BAD_TIMESTEP, LONG_TIMESTEP, BAD_INTEGRATOR, BAD_SOLVER, BAD_METRIC)
 """Statuses for options that the scheme cannot step with."""
 
-EVERY_INTEGRATOR = 0xFF  # a bit for each
 _LONGEST = 10**18  # [ns]: any step
 _NANO = 1e-9
 _SOLVERS = len(mujoco.mjtSolver.__members__)
+_INTEGRATORS, _RK4 = len(mujoco.mjtIntegrator.__members__), int(mujoco.mjtIntegrator.mjINT_RK4)
 
 
 @partial(compiled, inline=True)
@@ -42,8 +41,7 @@ def check_options(table):
         return BAD_TIMESTEP
     if step > _NANO * table[LONGEST_STEP]:
         return LONG_TIMESTEP
-    integrator = options.integrator
-    if not 0 <= integrator < 8 or table[INTEGRATORS] >> integrator & 1 == 0:
+    if options.integrator == _RK4 or not 0 <= options.integrator < _INTEGRATORS:
         return BAD_INTEGRATOR
     if not 0 <= options.solver < _SOLVERS:
         return BAD_SOLVER
@@ -53,9 +51,3 @@ def check_options(table):
 def nanoseconds(longest_step: float) -> int:
     """Convert a longest time step [s] for the table [ns], with a margin for its rounding."""
     return math.ceil(min((1 + 1e-9) * longest_step / _NANO, _LONGEST))
-
-
-def bits_of(integrators: Iterable[str]) -> int:
-    """Return a bit mask of the given integrators."""
-    known = mujoco.mjtIntegrator.__members__
-    return sum(1 << int(known[f"mjINT_{name}"]) for name in integrators)

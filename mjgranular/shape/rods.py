@@ -49,7 +49,8 @@ def rods_from_model(model: mujoco.MjModel, geoms: Sequence[int]) -> np.ndarray:
         if kind not in (_CAPSULE, _CYLINDER):
             raise InputError(
                 f"geom {geom_name(model, geom)} is a {geom_type(model, geom)}: the link law acts "
-                f"on slender bodies, capsules and cylinders; {CHOOSE}"
+                f"on slender bodies, capsules and cylinders; {CHOOSE}; or take a medium whose own "
+                "law takes every shape, such as quikrete_medium"
             )
         check_size(model, geom)
         radius, half = model.geom_size[geom][:2]

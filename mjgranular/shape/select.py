@@ -83,12 +83,6 @@ def last_dof(model: mujoco.MjModel, body: int) -> int:
     return int(model.body_dofadr[body] + model.body_dofnum[body] - 1) if body > 0 else -1
 
 
-def mocap_above(model: mujoco.MjModel, body: int) -> int | None:
-    """Return the mocap body that a body is or is attached to, None if there is none."""
-    root = int(model.body_rootid[body])
-    return root if model.body_mocapid[root] >= 0 else None
-
-
 def is_choice(names: Choice) -> bool:
     """Return True if names select some bodies or geoms, and not none or all."""
     return any(name != EVERY for name in names_in(names))
@@ -164,16 +158,10 @@ def _of_body(model: mujoco.MjModel, body: int) -> list[int]:
 def _refuse_fixed(model: mujoco.MjModel, body: int) -> None:
     if moves(model, body):
         return
-    mocap = mocap_above(model, body)
-    if mocap is not None:
-        raise InputError(
-            f"mocap body {body_name(model, mocap)} has no velocity in MuJoCo, and so sand cannot "
-            "act on it: put its geoms on a body with a free joint, <weld> that body to it, and "
-            "name that"
-        )
     raise InputError(
-        f"body {body_name(model, body)} is fixed to the world: sand cannot act on it; "
-        "name a body that has a joint above it"
+        f"body {body_name(model, body)} is fixed to the world, or to a mocap body, which has no "
+        "velocity: sand cannot act on it; name a body that has a joint above it, which a <weld> "
+        "may have follow a mocap body"
     )
 
 

@@ -18,24 +18,22 @@ surfaces.add("height_field", HeightField)
 
 
 def surface_of(surface: Any) -> Surface:
-    """Return a surface, one parsed from words such as "plane height=0.1", or z = 0 for None."""
+    """Return a surface, one parsed from words, or z = 0 for None.
+
+    Words are `plane height= slope= uphill=`, `bed geom=`, `height_field geom=`.
+    """
     if surface is None:
         return Plane()
     if isinstance(surface, Surface):
         return surface
-    if isinstance(surface, str) and surface.partition(" ")[0] in surfaces:
-        return surface_from_words(surface)
-    meant = "Plane(height=...), Bed('geom') or HeightField('geom')"
-    raise InputError(f"a surface is needed, not {kind_of(surface)}; use {meant}")
-
-
-def surface_from_words(text: str) -> Surface:
-    """Parse a surface: `plane height= slope= uphill=`, `bed geom=`, `height_field geom=`."""
-    cls, given = read_part(text, surfaces, "surface")
+    if not isinstance(surface, str):
+        meant = "Plane(height=...), Bed('geom') or HeightField('geom')"
+        raise InputError(f"a surface is needed, not {kind_of(surface)}; use {meant}")
+    cls, given = read_part(surface, surfaces, "surface")
     options: Any = fields(cls)  # pyright: ignore[reportArgumentType]
     missing = [f.name for f in options if f.default is MISSING and f.name not in given]
     if missing:
-        name = text.split(maxsplit=1)[0]
+        name = surface.split(maxsplit=1)[0]
         raise InputError(
             f"the surface {name!r} needs {missing[0]}=..., such as '{name} {missing[0]}=NAME'"
         )

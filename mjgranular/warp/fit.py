@@ -5,6 +5,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from mjgranular._util.checks import check_spec
 from mjgranular.errors import InputError
 from mjgranular.relief.relief import Relief
 from mjgranular.shape.select import last_dof
@@ -127,11 +128,7 @@ def coupled(spec: mujoco.MjSpec) -> mujoco.MjSpec:
     Raises:
         InputError: `spec` is not an `MjSpec`.
     """
-    if not isinstance(spec, mujoco.MjSpec):
-        raise InputError(
-            "coupled takes a mujoco.MjSpec, such as mujoco.MjSpec.from_file('robot.xml'), not "
-            f"{type(spec).__name__}"
-        )
+    check_spec(spec, "coupled")
     spec = spec.copy()
     model = spec.compile()
     for body in spec.bodies:

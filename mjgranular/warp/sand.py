@@ -257,14 +257,6 @@ class WarpSand:
             raise InputError("this sand has no memory: WarpSand(model, memory=True) has")
         return self._memory.volumes()
 
-    def bad_worlds(self, d: Any) -> list[int]:
-        """Return the indices of worlds whose state is not finite; they do not affect the others.
-
-        `mujoco_warp.reset_data(m, d, reset)` restarts them.
-        """
-        good = np.isfinite(d.qpos.numpy()).all(1) & np.isfinite(d.qvel.numpy()).all(1)
-        return np.flatnonzero(~good).tolist()
-
     def _tables_on(self, device: Any) -> Any:
         """Return the tables of kernels on a device."""
 

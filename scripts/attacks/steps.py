@@ -101,9 +101,7 @@ class Walk:
         except (ValueError, mujoco.FatalError, GranularError) as error:
             errors.append(f"plugin: {error}")
         self.result.counts["interfaces"] += 1
-        # Only the plugin can step explicit sand with RK4.
-        by_itself = self.model.opt.integrator == _RK4 and self.inside is not None
-        if len(errors) == 1 and not by_itself:
+        if len(errors) == 1:
             self.fail("interfaces", f"only one raises an error: {errors[0]}")
 
     def run(self) -> None:
@@ -321,7 +319,7 @@ class Walk:
     def impossible(self, model: mujoco.MjModel, *, inside: bool) -> str:
         """Return the integrator if it cannot be stepped with this sand, else an empty string."""
         implicit = self.implicit or (self.sand is None and not inside)
-        if model.opt.integrator == _RK4 and (implicit or not inside):
+        if model.opt.integrator == _RK4:
             return "RK4"
         other = model.opt.solver == _PGS or model.opt.enableflags & _IPC
         return "discrete" if model.opt.integrator == _DISCRETE and implicit and other else ""

@@ -9,7 +9,6 @@ import pytest
 from mjgranular import (
     Bed,
     HeightField,
-    Implicit,
     InputError,
     Plane,
     Rft2dLaw,
@@ -69,12 +68,6 @@ def test_mistakes_get_a_sentence(mistake):
     make, said = MISTAKES[mistake]
     with pytest.raises(InputError, match=said):
         make()
-
-
-def test_classes_stand_for_what_the_medium_makes_of_them():
-    assert Sand(model(), law=Rft3dLaw, **SAND).law == Rft3dLaw.from_medium("quikrete_medium")
-    assert isinstance(Sand(model(), scheme=Implicit, **SAND).scheme, Implicit)
-    assert add_sand(spec(), law=Rft3dLaw, **SAND).config["law"] == "rft3d"
 
 
 @pytest.mark.parametrize("law", [Rft2dLaw, Rft3dLaw])

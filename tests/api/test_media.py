@@ -215,6 +215,7 @@ def changed(old, new):
         (changed(DENSITY + "\n", ""), "a medium needs density"),
         (changed("default_law: link\n", ""), "a medium needs default_law"),
         (EXAMPLE[: EXAMPLE.index("constants")], "a medium needs constants"),
+        (EXAMPLE + DENSITY + "\n", "a key stands twice"),
         (EXAMPLE + "colour: red\n", "a medium has no key 'colour'; there are: .*grain"),
         (changed("value: 1500", "value: heavy"), "density.value must be a number, .*got 'heavy'"),
         (changed("value: 1500", "value: true"), "density.value must be a number, .*got True"),

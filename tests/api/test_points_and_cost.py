@@ -14,7 +14,6 @@ from mjgranular.cli import main
 from mjgranular.errors import CostWarning, PointsWarning
 from mjgranular.sand.advice import MANY, find_points
 from mjgranular.shape import select_geoms
-from mjgranular.shape.sizes import FACETS
 
 # As a humanoid's foot is made: a sole that is only drawn, with four spheres under it.
 FOOT = """
@@ -131,10 +130,7 @@ def test_sand_that_costs_much_says_what_would_help():
         '<mujoco><worldbody><body pos="0 0 1"><freejoint/><geom size=".1"/></body></worldbody>'
         "</mujoco>"
     )
-    said = r"elements take milliseconds in each step: "
-    with pytest.warns(CostWarning, match=said + r"resolution=(\d+) would make some") as caught:
+    said = "elements take milliseconds in each step: take a lower resolution"
+    with pytest.warns(CostWarning, match=said):
         sand = Sand(model, medium="quikrete_medium", resolution=150)
     assert len(sand.elements) > MANY
-    lower = int(str(caught[0].message).partition("resolution=")[2].split()[0])
-    helped = Sand(model, medium="quikrete_medium", resolution=lower)
-    assert 0.8 * FACETS < len(helped.elements) < 1.1 * FACETS

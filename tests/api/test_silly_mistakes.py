@@ -217,7 +217,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "surface's name": (
         lambda: sand(surface="floor"),
-        "a surface is needed, not 'floor'; use Plane(height=...),",
+        "no surface 'floor'; there are: bed, height_field, plane",
     ),
     "number for surface": (
         lambda: sand(surface=0.1),
@@ -347,7 +347,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "body of add_sand": (
         lambda: added(bodies="blok"),
-        "mjgranular 'sand': config 'bodies': no body of the model 'blok' ... did you mean block?",
+        "mjgranular 'sand': no body of the model 'blok' ... did you mean block?",
     ),
     "number for a name": (lambda: added(name=3), "name of an instance"),
     "law in MJCF": (
@@ -356,7 +356,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "body in MJCF": (
         lambda: made("<config key='bodies' value='blok'/>"),
-        "mjgranular 's': config 'bodies': no body of the model 'blok' ... did you mean block?",
+        "mjgranular 's': no body of the model 'blok' ... did you mean block?",
     ),
     "key in MJCF": (
         lambda: made("<config key='medum' value='play_sand'/>"),
@@ -436,7 +436,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "body of an environment": (
         lambda: on_sand("Hopper-v5", bodies="foto"),
-        "mjgranular 'sand': config 'bodies': no body of the model 'foto' ... did you mean foot?",
+        "mjgranular 'sand': no body of the model 'foto' ... did you mean foot?",
     ),
     "sand of an environment": (
         lambda: on_sand("Hopper-v5", "play_sand"),
@@ -514,14 +514,6 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     "word for a switch of a law": (
         lambda: mg.Rft3dLaw(3000, 0.4, 0.4, rise="no"),
         "Rft3dLaw: rise must be True or False, not 'no'",
-    ),
-    "word for a switch of a scheme": (
-        lambda: mg.Explicit(half_step="no"),
-        "Explicit: half_step must be True or False, not 'no'",
-    ),
-    "text for a longest step": (
-        lambda: mg.Explicit(longest_step="1"),
-        "Explicit: longest_step must be positive, not '1' s",
     ),
     "half an evaluation": (
         lambda: mg.Implicit(evaluations=2.5),
@@ -640,7 +632,10 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
         lambda: vec("mjgranular/LinkDorp-v0", 2),
         "no environment 'mjgranular/LinkDorp-v0' ... did you mean mjgranular/LinkDrop-v0?",
     ),
-    "repose in degrees": (lambda: mg.Memory(repose=32), "32 degrees are 0.5585"),
+    "repose in degrees": (
+        lambda: mg.Memory(repose=32),
+        "above 0 and below 1.571 rad, not 32",
+    ),
     "memory that is too small": (
         lambda: sand(memory=mg.Memory(0.02, extent=0.4)),
         "say memory='cell=0.02 extent=",

@@ -170,7 +170,7 @@ def test_a_law_of_ones_own_on_the_command_line(
         ("mud_of_a_test:Mudd", "did you mean Mud?"),
         ("mud_of_the_test:Mud", "did you mean mud_of_a_test?"),
         ("mud_of_a_test:Mud stifness=1", "no option 'stifness'"),
-        ("mud_of_a_test:Clay linear=1", "for the law 'clay_of_a_test': give it thickness=..."),
+        ("mud_of_a_test:Clay linear=1", "for law 'clay_of_a_test'; there are: "),
     ):
         assert main(["elements", "block.xml", "--law", wrong]) == 2
         assert said in capsys.readouterr().err

@@ -164,19 +164,6 @@ def test_sensors_are_what_mujoco_makes_of_the_same_forces(scheme: str) -> None:
     assert_same_sensors(data, twin)
 
 
-def test_sensors_of_runge_kutta_are_those_of_the_first_stage() -> None:
-    model, data = on_sand("explicit", "RK4")
-    mujoco.mj_step(model, data, 5)
-    probe = copy.copy(data)
-    mujoco.mj_forward(model, probe)
-    twin = pushed(model, probe)
-    own = data.xfrc_applied.copy()
-    mujoco.mj_step(model, data)
-    assert data.xfrc_applied.tobytes() == own.tobytes()
-    mujoco.mj_forward(make_spec().compile(), twin)
-    assert_same_sensors(data, twin)
-
-
 def test_forces_written_between_the_halves_of_a_step_stay_and_are_felt() -> None:
     model, mine = on_sand()
     bare = make_spec().compile()

@@ -207,20 +207,6 @@ def test_forward_does_not_change_what_is_remembered() -> None:
     np.testing.assert_array_equal(data.plugin_state, before)
 
 
-def test_explicit_scheme_under_rk4() -> None:
-    spec = mujoco.MjSpec.from_string(BALLS)
-    spec.option.integrator, spec.option.timestep = mujoco.mjtIntegrator.mjINT_RK4, 1e-4
-    add_sand(spec, law=LAW, memory=MEMORY, scheme="explicit")
-    model = spec.compile()
-    data = thrown(model)
-    mujoco.mj_step(model, data, 2000)
-    reference = made(scheme="explicit")
-    other = thrown(reference)
-    mujoco.mj_step(reference, other, 2000)
-    np.testing.assert_allclose(data.qpos, other.qpos, atol=2e-3)
-    assert relief_of(model, data).height.min() < -0.01
-
-
 def test_two_sands_have_a_memory_each() -> None:
     spec = mujoco.MjSpec.from_string(BALLS)
     bodies = [body.name or str(number) for number, body in enumerate(spec.bodies)][1:]

@@ -201,59 +201,14 @@ def test_sand_is_in_qfrc_passive_and_nothing_else_is_touched(model: mujoco.MjMod
     assert not np.any(data.qfrc_applied)
 
 
-@pytest.mark.filterwarnings("ignore::mjgranular.errors.RangeWarning")  # 10 m deep, to stay there
-def test_runge_kutta_is_of_fourth_order() -> None:
-    # Drag alone is smooth; deep down, so that the surface is never crossed.
-    spec = Link().spec()
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
-    law = DepthVelocityLaw(quadratic=1.0)
-    add_sand(spec, law=law, surface=Plane(10.0), scheme="explicit")
-    ends = []
-    for steps in (10, 20, 40):
-        spec.option.timestep = 0.02 / steps
-        model = spec.compile()
-        data = released(model)
-        mujoco.mj_step(model, data, steps)
-        ends.append(data.qvel[1])
-    assert (ends[0] - ends[1]) / (ends[1] - ends[2]) == pytest.approx(16, rel=0.2)
-
-
-@pytest.mark.parametrize("scheme", ["auto", "implicit"])
-def test_runge_kutta_is_refused_by_what_acts_at_the_end_of_the_step(scheme: str) -> None:
+@pytest.mark.parametrize("scheme", ["auto", "implicit", "explicit"])
+def test_runge_kutta_is_refused(scheme: str) -> None:
     spec = Link().spec()
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
     spec.option.timestep = 2e-3
     add_sand(spec, scheme=scheme)
-    with pytest.raises(ValueError, match="set the model's integrator to implicitfast"):
+    with pytest.raises(ValueError, match="set the model's integrator to Euler"):
         mujoco.MjData(spec.compile())
-
-
-@pytest.mark.parametrize("scheme", ["auto", "implicit", "explicit"])
-@pytest.mark.parametrize(
-    ("law", "instead"),
-    [
-        ("rft3d_dynamic", "scheme='explicit' with steps of microseconds and a law without"),
-        ("rft3d added=2", "scheme='explicit' with steps of microseconds and a law without"),
-    ],
-)
-def test_the_way_out_of_runge_kutta_is_told_for_the_law_at_hand(
-    scheme: str, law: str, instead: str
-) -> None:
-    spec = Link().spec()
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
-    spec.option.timestep = 1e-6
-    add_sand(spec, law=law, medium="quikrete_medium", scheme=scheme)
-    with pytest.raises(ValueError, match=f"implicitfast, implicit or Euler, or {instead}"):
-        mujoco.MjData(spec.compile())
-
-
-def test_the_way_out_of_runge_kutta_is_one() -> None:
-    spec = Link().spec()
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
-    spec.option.timestep = 1e-6
-    add_sand(spec, law="rft3d", medium="quikrete_medium", scheme="explicit")
-    model = spec.compile()
-    mujoco.mj_step(model, mujoco.MjData(model))
 
 
 def test_two_media_in_two_beds() -> None:
@@ -288,8 +243,6 @@ def test_sand_beside_sand_of_the_models_own_is_refused() -> None:
         Sand(model, law=law, surface=Bed("right"))
     Sand(model, law=law, surface=Bed("right"), bodies="b").step(mujoco.MjData(model))
     both, data = Sand(model, law=law, surface=Bed("right"), shared=True), mujoco.MjData(model)
-    with pytest.raises(InputError, match=r"instance 'sand'.*never acted.*mjgranular\.sensor"):
-        both.report(data)
     both.step(data)
     both.report(data)
 

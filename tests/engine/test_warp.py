@@ -373,7 +373,8 @@ def test_no_world_is_lost_deep_in_the_sand(warp):
     m.opt.warn_overflow = 0
     for _ in range(30):
         mjw.step(m, d)
-    assert sand.bad_worlds(d) == []
+    assert np.isfinite(d.qpos.numpy()).all()
+    assert np.isfinite(d.qvel.numpy()).all()
     assert sand.depth.numpy().max() > 0.5
 
 
@@ -393,7 +394,7 @@ def test_worlds_are_on_their_own(warp):
     for _ in range(100):
         mjw.step(m, d)
     z = d.qpos.numpy()[:, 2]
-    assert sand.bad_worlds(d) == [1]
+    assert np.isfinite(d.qpos.numpy()).all(1).tolist() == [True, False, True, True]
     assert z[0] + 0.005 < z[2] < z[0] + 0.01  # it has fallen less far
     assert abs(z[3] - z[0]) > 1e-4
     assert np.isfinite(z[[0, 2, 3]]).all()

@@ -101,7 +101,6 @@ SURFACES = {
 }
 
 
-@pytest.mark.filterwarnings("ignore:the memory's cells")
 @pytest.mark.parametrize("surface", SURFACES)
 def test_prints_are_those_of_the_processor(warp, surface):
     """A box that slides and a ball: the order in which sand is moved is all that differs."""

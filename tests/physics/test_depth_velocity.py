@@ -18,7 +18,7 @@ DROP = json.loads(
 )
 MASS, RADIUS, GRAVITY = DROP["mass"], DROP["diameter"] / 2, DROP["gravity"]
 STIFFNESS, LENGTH = DROP["stiffness_over_mass"] * MASS, DROP["drag_length"]
-SPHERE = DepthVelocityLaw.katsuragi_durian(mass=MASS, stiffness=STIFFNESS, drag_length=LENGTH)
+SPHERE = DepthVelocityLaw(stiffness=STIFFNESS, quadratic=MASS / LENGTH)
 
 # Each of the survey's models, and its resistance as it is printed.
 MODELS = {
@@ -345,12 +345,3 @@ def test_sphere_may_turn_freely():
 def test_coefficients_must_not_be_negative(key, bad):
     with pytest.raises(InputError, match=f"DepthVelocityLaw: {key} must be finite and not neg"):
         DepthVelocityLaw(**{key: bad})
-
-
-@pytest.mark.parametrize(
-    "length",
-    [-0.1, 0.0],
-)
-def test_drag_length_must_be_a_length(length):
-    with pytest.raises(InputError):
-        DepthVelocityLaw.katsuragi_durian(mass=MASS, stiffness=STIFFNESS, drag_length=length)

@@ -129,9 +129,9 @@ def test_side_by_side_as_one_by_one(law, options):
     for _ in range(8):
         data = thrown(model, rng)
         one, other = (sand.report(data) for sand in sands)
-        wet += int((other.table.depth > 0).sum())
+        wet += int((other.elements.depth > 0).sum())
         for name in ("depth", "point", "velocity", "force", "immersed_length"):
-            found, expected = getattr(one.table, name), getattr(other.table, name)
+            found, expected = getattr(one.elements, name), getattr(other.elements, name)
             np.testing.assert_allclose(found, expected, rtol=1e-11, atol=1e-13, err_msg=name)
         for mine, theirs in zip(one.bodies, other.bodies, strict=True):
             np.testing.assert_allclose(mine.force, theirs.force, rtol=1e-11, atol=1e-13)
@@ -148,7 +148,7 @@ def test_both_schemes_see_the_same():
     rng = np.random.default_rng(2)
     for _ in range(4):
         data = thrown(model, rng)
-        one, other = (sand.report(data).table for sand in sands)
+        one, other = (sand.report(data).elements for sand in sands)
         for name in ("depth", "point", "immersed_length"):
             np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
 
@@ -205,7 +205,7 @@ def test_each_element_counts_once(law, scheme):
         data.qvel[:] = rng.normal(size=6)
         mujoco.mj_forward(model, data)
         report = sand.report(data)
-        table, body = report.table, report.bodies[0]
+        table, body = report.elements, report.bodies[0]
         arms = table.point - data.xipos[1]
         assert table.force.sum(0) == pytest.approx(body.force, rel=1e-9, abs=1e-9)
         assert np.cross(arms, table.force).sum(0) == pytest.approx(body.moment, rel=1e-9, abs=1e-9)
@@ -224,5 +224,5 @@ def test_a_normal_that_is_upright_but_for_rounding():
     data.qvel[2] = 1.0  # it turns a half about y: its axis is upright
     for scheme in ("explicit", "implicit"):
         report = Sand(model, law="rft3d", medium="quikrete_medium", scheme=scheme).report(data)
-        assert np.isfinite(report.table.force).all()
+        assert np.isfinite(report.elements.force).all()
         assert report.bodies[0].force[2] < 0

@@ -279,7 +279,8 @@ def test_moment_is_about_the_centre_of_mass(chain_model):
         report = sand.report(data)
         for body in report.bodies:
             center = data.xipos[model.body(body.body).id]
-            mine = [element for element in report.elements if element.body == body.body]
+            number = model.body(body.body).id
+            mine = report.elements[report.elements.body == number]
             force = np.sum([element.force for element in mine], axis=0)
             moment = np.sum([np.cross(e.point - center, e.force) for e in mine], axis=0)
             scale = 1e-12 * (1 + float(np.linalg.norm(force)))

@@ -1,7 +1,6 @@
 """Where a law holds: the measures, worked out by hand."""
 
 import dataclasses
-import json
 import math
 from pathlib import Path
 
@@ -198,13 +197,8 @@ def test_standing(value, holds):
     assert Standing(Limit("froude", 0.4, "a source"), value).holds is holds
 
 
-def test_validity_can_be_written_down():
-    found, report = moving(body(BOX))
-    (written,) = report.as_dict()["bodies"]
-    assert json.loads(json.dumps(written["validity"])) == {
-        measure: {"value": standing.value, "most": standing.limit.most}
-        for measure, standing in found.items()
-    }
+def test_limits_of_a_law_are_known():
+    found, _ = moving(body(BOX))
     assert set(found) == {"froude", "inertial_number", "depth_over_width", "slope"}
 
 
@@ -244,9 +238,6 @@ def test_a_report_has_the_error_that_was_found():
     for speed, error in ((0.1, 0.1), (0.7, 0.2), (2.0, None)):
         _, report = moving(ball, velocity=(0, 0, -speed), law=Judged(constant=1.0))
         assert report.bodies[0].error == error
-        assert json.loads(json.dumps(report.as_dict()))["bodies"][0]["found"] == (
-            None if error is None else dataclasses.asdict(report.bodies[0].found)
-        )
     _, report = moving(ball, height=0.5, law=Judged(constant=1.0))
     assert report.bodies[0].error is None  # above the sand
 

@@ -186,13 +186,15 @@ def test_axes_of_the_figure_have_one_scale(facets):
     assert axes.get_xlabel() == "x [m]"
 
 
-def test_the_figure_follows_qpos(facets, tmp_path):
-    qpos = facets.model.qpos0.copy()
-    qpos[2] += 1.0
-    qvel = np.full(facets.model.nv, -0.1)
+def test_the_figure_follows_data(facets, tmp_path):
+    raised, pushed = mujoco.MjData(facets.model), mujoco.MjData(facets.model)
+    raised.qpos[2] += 1.0
+    pushed.qvel[:] = -0.1
+    for data in (raised, pushed):
+        mujoco.mj_kinematics(facets.model, data)
     for name, options in (
-        ("raised.png", {"qpos": qpos}),
-        ("pushed.svg", {"forces": True, "qvel": qvel}),
+        ("raised.png", {"data": raised}),
+        ("pushed.svg", {"forces": True, "data": pushed}),
         ("bare.pdf", {"color": "geom", "normals": False, "forces": True}),
     ):
         figure = draw_elements(facets, file=tmp_path / name, **options)
@@ -204,8 +206,6 @@ def test_the_figure_follows_qpos(facets, tmp_path):
 @pytest.mark.parametrize(
     ("options", "error", "words"),
     [
-        ({"qpos": [0.0, 1.0]}, errors.InputError, r"qpos must have shape \(8,\), not \(2,\)"),
-        ({"qvel": [math.nan] * 7}, errors.InputError, "qvel must be finite"),
         ({"color": "red"}, errors.UnknownNameError, "body, geom"),
         ({"file": "foot.bmp"}, errors.InputError, r"\.png, \.svg or \.pdf, not '\.bmp'"),
         ({"file": "nowhere/foot.png"}, OutputError, "cannot write"),
@@ -244,7 +244,7 @@ def test_a_scene_gets_elements_normals_and_forces(facets):
     assert {scene.geoms[k].rgba[3] for k in range(before)} == {0.25}
     assert add_elements(scene, facets, data) == 2 * number
     # Walls that slide along themselves are pushed by what rounding leaves, which nobody sees.
-    force = np.linalg.norm(facets.report(data).table.force, axis=1)
+    force = np.linalg.norm(facets.report(data).elements.force, axis=1)
     pushed = (force > 0.01 * force.max()).sum()
     assert 0 < pushed < (force > 0).sum()
     scene.ngeom = 0
