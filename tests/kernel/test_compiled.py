@@ -60,7 +60,7 @@ def call(names):
 
 @pytest.fixture
 def start(tmp_path):
-    body = "".join(f"        y += math.sin(x + {i}) * math.exp(y)\n" for i in range(100))
+    body = "".join(f"        y += math.sin(x + {i}) * math.exp(y)\n" for i in range(40))
     (tmp_path / "kernels.py").write_text(KERNELS.replace("BODY\n", body), encoding="utf-8")
 
     def start(code, *arguments):
