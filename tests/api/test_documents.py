@@ -103,8 +103,9 @@ def test_the_gait_search_script(tmp_path):
 def test_the_rllib_script(tmp_path):
     pytest.importorskip("ray.rllib", reason="the extra ray is not installed")
     script = ROOT / "scripts" / "train_rllib.py"
-    printed = run(script, "mjgranular/ChainCrawl-v0", "2", "policy", cwd=tmp_path).splitlines()
-    assert re.fullmatch(r"2: 8192 steps, mean return \S+", printed[1])
+    # Episodes of a hopper end within one iteration.
+    printed = run(script, "mjgranular/Hopper-v0", "1", "policy", cwd=tmp_path)
+    assert re.match(r"1: 4\d{3} steps, mean return \S+\n", printed)
     assert (tmp_path / "policy" / "rllib_checkpoint.json").exists()
 
 

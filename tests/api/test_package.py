@@ -124,20 +124,6 @@ def test_the_renderer_is_chosen_only_where_nobody_has():
 
 
 @pytest.mark.slow
-def test_a_cache_that_cannot_be_written_costs_a_compilation_only(tmp_path):
-    blocked = tmp_path / "file"
-    blocked.write_text("")
-    code = (
-        "import os; os.environ['NUMBA_CACHE_DIR'] = {folder!r}\n"
-        "import mujoco, mjgranular; from mjgranular.models import Link\n"
-        "m = Link().model(1e-5); d = mujoco.MjData(m); "
-        "law = mjgranular.DepthVelocityLaw(linear=1)\n"
-        "mjgranular.Sand(m, law=law).step(d); print(d.time)"
-    )
-    assert python(code.format(folder=str(blocked / "cache"))).strip() == "1e-05"
-
-
-@pytest.mark.slow
 def test_kernels_come_from_the_cache_in_a_second_process(tmp_path):
     code = (
         f"import os; os.environ['NUMBA_CACHE_DIR'] = {str(tmp_path)!r}\n"
@@ -147,7 +133,7 @@ def test_kernels_come_from_the_cache_in_a_second_process(tmp_path):
         "m = Link().model(1e-5)\n"
         "for law in ('link', 'link_distributed'):\n"
         "    d = mujoco.MjData(m); d.qpos[1] = -0.2; d.qvel[1] = -1\n"
-        "    mjgranular.Sand(m, law=law).step(d); print(d.qvel)"
+        "    mjgranular.Sand(m, law=law, scheme='explicit').step(d); print(d.qvel)"
     )
     first, second = python(code).splitlines(), python(code).splitlines()
     assert any("compiling" in line for line in first)

@@ -9,8 +9,8 @@ at the end of the step, by MuJoCo's kinematics:
   is active. The relative precision of a velocity is 6e-8, so that the kinetic energy changes by
   such a part in any step, even without sand.
 
-MuJoCo Warp recompiles for each number of degrees of freedom: only models with a few different
-numbers are drawn.
+MuJoCo Warp recompiles for each number of degrees of freedom, and for each set of shapes that can
+touch: only models with a few different numbers are drawn, and by default one of them has contacts.
 """
 
 from __future__ import annotations
@@ -31,7 +31,8 @@ wp = pytest.importorskip("warp")
 
 from mjgranular.warp import WarpSand, coupled  # noqa: E402
 
-SIZES = (12,) if cases(5) <= 5 else (9, 12, 18)
+FEW = cases(5) <= 5
+SIZES = (12,) if FEW else (9, 12, 18)
 SPEEDS = np.array([0.0, 0.1, 1.0, 5.0])[:, None]  # of the worlds
 STEPS = 30
 BAR = 1e-6  # in parts of the kinetic energy
@@ -50,6 +51,8 @@ def draw(number: int) -> ModelCase:
         option.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
         option.noslip_iterations = option.enableflags = 0
         option.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+        if FEW and number:
+            option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
         if option.solver == mujoco.mjtSolver.mjSOL_PGS:
             option.solver = mujoco.mjtSolver.mjSOL_NEWTON
         model = coupled(spec).compile()

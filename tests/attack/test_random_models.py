@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 ATTACK = Path(__file__).resolve().parents[2] / "scripts" / "attack.py"
-MODELS, STEPS = 16, 60
+MODELS, STEPS = 32, 60
 
 
 def attack(folder, *options, **more):
@@ -26,10 +26,10 @@ def attack(folder, *options, **more):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["plain", "options", "hostile", "rest"])
-def test_random_models(kind, tmp_path):
+def test_random_models(tmp_path):
+    """Of all kinds: only controls, legal and illegal changes in motion, changes at rest."""
     some = ("--only", "steps", "--short", "--models", MODELS, "--steps", STEPS)
-    done, rows = attack(tmp_path, *some, "--kind", kind)
+    done, rows = attack(tmp_path, *some)
     assert done.returncode == 0, done.stdout + done.stderr
     assert sorted(row["case"] for row in rows) == [*range(MODELS)]
     assert sum(row["counts"]["errors"] for row in rows) > 0.8 * MODELS * STEPS

@@ -199,7 +199,7 @@ def blocks(loader: Any) -> int:
 def test_the_same_bed_made_again_and_again_is_prepared_once(loader: Any) -> None:
     before = blocks(loader)
     loader._prepared.clear()
-    for _ in range(10):
+    for _ in range(6):
         model = sandy_ball()
         kept = [mujoco.MjData(model) for _ in range(3)]
         assert blocks(loader) == before + 3
@@ -307,13 +307,13 @@ for way in ("spec", "model", "data", "sand"):
 @pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs a timer that sends signals")
 def test_an_interrupt_at_any_moment_is_raised_and_leaves_nothing_half_made() -> None:
-    code = INTERRUPTED.replace("BALL", repr(BALL)).replace("MOMENTS", "20").replace("SPAN", "0.08")
+    code = INTERRUPTED.replace("BALL", repr(BALL)).replace("MOMENTS", "12").replace("SPAN", "0.08")
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=100)
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
     for line in done.stdout.splitlines():
         interrupted = int(line.split()[1])
-        assert interrupted >= 6, done.stdout
+        assert interrupted >= 4, done.stdout
     assert len(done.stdout.splitlines()) == 4
 
 
@@ -339,7 +339,7 @@ print(interrupts)
 """
 
 
-WAITS = (0.01, 0.03, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 0.05, 0.5, 0.2, 1.5, 0.1)
+WAITS = (0.01, 0.03, 0.1, 0.3, 0.5, 0.7, 0.9, 0.05, 1.2, 0.2)
 
 
 @pytest.mark.slow
@@ -411,7 +411,7 @@ def busy():
 thread = threading.Thread(target=busy)
 thread.start()
 time.sleep(0.1)
-for k in range(20):
+for k in range(8):
     child = os.fork()
     if child == 0:
         load(0.01)

@@ -63,6 +63,8 @@ def warp():
 def scene(warp):
     model = warp.coupled(mujoco.MjSpec.from_string(SCENE)).compile()
     model.hfield_data[:] = np.random.default_rng(1).random(model.nhfielddata)
+    # Nothing meets but sand; kernels for contacts compile for ten seconds.
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     return model
 
 
@@ -92,9 +94,9 @@ def put(model, qpos, qvel, sand):
 @pytest.mark.parametrize(
     ("law", "medium", "place", "bodies"),
     [
-        ("rft3d", "quikrete_medium", "plane", ("box", "thigh", "foot")),
+        ("rft3d", "quikrete_medium", "dunes", ("box", "thigh", "foot")),
         ("rft3d inertia=1.1 rise=true", "quikrete_medium", "bed", ("box", "foot")),
-        ("rft2d", "glass_beads", "dunes", ("box", "rod", "foot")),
+        ("rft2d", "glass_beads", "plane", ("box", "rod", "foot")),
         ("rft3d_dynamic added=0 grain=1e-3", "quikrete_medium", "plane", ("box", "foot")),
         ("link", "play_sand", "plane", ("rod", "thigh")),
         ("link_distributed", "play_sand", "dunes", ("rod", "thigh")),
@@ -201,15 +203,15 @@ def test_a_box_rests(warp, timestep):
     data = settled(model, Sand(model, **given, scheme="implicit"), round(0.5 / timestep))
     sand = warp.WarpSand(model, **given)
     m, d = put(model, data.qpos[None], 0 * data.qvel[None], sand)
-    for _ in range(round(0.5 / timestep)):
+    for _ in range(round(0.2 / timestep)):
         mjw.step(m, d)
     start = d.qpos.numpy()[0, :7]
-    for _ in range(round(1.0 / timestep)):
+    for _ in range(round(0.5 / timestep)):
         mjw.step(m, d)
-    assert np.abs(d.qpos.numpy()[0, :7] - start).max() <= 2e-6
+    assert np.abs(d.qpos.numpy()[0, :7] - start).max() <= 1e-6
 
 
-@pytest.mark.parametrize("name", ["Hopper", "HalfCheetah", "Walker2d", "Ant"])
+@pytest.mark.parametrize("name", ["Hopper", "HalfCheetah", "Ant"])
 @pytest.mark.filterwarnings("ignore::mjgranular.GranularWarning")
 @pytest.mark.filterwarnings("ignore:compiler attribute 'settotalmass'")
 def test_a_robot_rests(warp, name):
@@ -237,10 +239,12 @@ HELD = """
   <worldbody>
     <geom name="rock" type="box" size="0.1 0.1 0.1" pos="0.5 0 -0.05"/>
     <body name="leg" pos="0 0 0.097">
-      <freejoint/><geom type="box" size="0.1 0.08 0.02" mass="1"/>
+      <freejoint/>
+      <geom type="box" size="0.1 0.08 0.02" mass="1" contype="2" conaffinity="0"/>
       <body name="foot" pos="0 0 -0.05">
         <joint name="knee" axis="0 1 0" damping="0.1" range="-20 20" frictionloss="0.1"/>
-        <geom type="box" pos="0 0 -0.1" size="0.05 0.03 0.01" mass="0.3"/>
+        <geom type="box" pos="0 0 -0.1" size="0.05 0.03 0.01" mass="0.3" contype="2"
+          conaffinity="0"/>
       </body>
       <body name="arm" pos="0.5 0 0">
         <joint name="elbow" axis="0 1 0" damping="0.1"/>

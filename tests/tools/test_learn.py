@@ -201,12 +201,10 @@ def test_means_are_over_as_many_episodes_as_there_are_environments():
 
 
 @pytest.mark.slow
-def test_another_seed_is_another_policy_and_the_same_seed_the_same(trained, tmp_path):
-    same = begin_run(tmp_path / "same", ID, trained.settings, seed=3)
+def test_another_seed_is_another_policy(trained, tmp_path):
+    """That the same seed is the same policy is seen where a run is killed and resumed."""
     other = begin_run(tmp_path / "other", ID, trained.settings, seed=4)
-    for run in (same, other):
-        train(run)
-    np.testing.assert_array_equal(weights(same), weights(trained))
+    train(other)
     assert not np.array_equal(weights(other), weights(trained))
 
 
