@@ -259,7 +259,7 @@ class Walk:
         pushed = sum(np.abs(force) for force in forces) / np.maximum(self.model.dof_M0, 1e-9)
         gained = h * float(np.linalg.norm(pushed, np.inf))
         scale = max(np.abs(speed).max(), np.abs(data.qvel).max(), gained)
-        if apart <= 1e-13 or apart <= ALIKE * scale:
+        if apart <= 1e-13 or apart <= max(ALIKE, self.model.opt.tolerance) * scale:
             return
         if apart > 10.0 * measure.sensitivity(model, self.inner, before, scale / max(h, 1e-12)):
             self.fail("interfaces", f"apart by {apart:.3g} of {scale:.3g}")
