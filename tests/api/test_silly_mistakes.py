@@ -632,6 +632,14 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
         lambda: vec("mjgranular/LinkDorp-v0", 2),
         "no environment 'mjgranular/LinkDorp-v0' ... did you mean mjgranular/LinkDrop-v0?",
     ),
+    "word for a switch of a scheme": (
+        lambda: mg.Explicit(half_step="no"),
+        "Explicit: half_step must be True or False, not 'no'",
+    ),
+    "text for a longest step": (
+        lambda: mg.Explicit(longest_step="1"),
+        "Explicit: longest_step must be positive, not '1' s",
+    ),
     "repose in degrees": (
         lambda: mg.Memory(repose=32),
         "above 0 and below 1.571 rad, not 32",
