@@ -6,6 +6,7 @@ from typing import Annotated
 
 import tyro
 
+from mjgranular._util.checks import check_count
 from mjgranular._util.result_folder import TRAINING, ResultFolder
 from mjgranular.cli import drop, impact
 from mjgranular.cli.console import out
@@ -58,6 +59,8 @@ class RenderCommand(options_of(Film, "seconds", "width", "height", "fps")):
             raise InputError(f"a film must be written as .mp4, got {target.name!r}")
         if command != TRAINING and (self.on or self.seed is not None):
             raise InputError(f"--on and --seed are for training runs, got {self.run_folder}")
+        if self.seed is not None:
+            check_count("seed", self.seed, least=0)
         camera = self.camera or ("side" if command == "impact" else "free")
         film, frames = draws[command](self.experiment(camera=camera))
         folder = ResultFolder(target.parent, (target.name,))

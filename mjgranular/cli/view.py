@@ -12,8 +12,9 @@ from typing import Annotated, Any, Literal
 import mujoco
 import tyro
 
+from mjgranular._util.checks import check_count
 from mjgranular.cli.console import err
-from mjgranular.cli.evaluate import find_actor, warn_of_sand
+from mjgranular.cli.evaluate import find_actor, is_environment, warn_of_sand
 from mjgranular.cli.options import Flag, options_of
 from mjgranular.engine import NAME, add_sand
 from mjgranular.errors import FloorWarning, InputError
@@ -22,6 +23,7 @@ from mjgranular.experiment.ground import hide_replaced, refuse_floors
 from mjgranular.learn import environments
 from mjgranular.learn.evaluate import FIRST_SEED, parse_variant
 from mjgranular.learn.live import Live
+from mjgranular.learn.run import POLICY
 from mjgranular.learn.sands import sands_made
 from mjgranular.picture.viewer import Switch, check_display, follow, opened
 from mjgranular.picture.web import Page, check_address
@@ -70,6 +72,7 @@ class ViewCommand(options_of(Drop, without=_NOT_OPTIONS)):
         for name, value in (("speed", self.speed), ("duration", self.duration)):
             if value is not None and not (math.isfinite(value) and value > 0):
                 raise InputError(f"the {name} must be positive and finite, got {value}")
+        check_count("seed", self.seed, least=0)
         self._check_options()
         if self.web:
             check_address(self.host, self.port)
@@ -108,7 +111,9 @@ class ViewCommand(options_of(Drop, without=_NOT_OPTIONS)):
             follow(viewer, model, data, switch, **how)
 
     def _is_policy(self) -> bool:
-        return self.model.is_dir() or not (self.model.is_file() or self.model.suffix)
+        if self.model.is_dir() or self.model.name == POLICY:
+            return True
+        return not (self.model.is_file() or self.model.suffix)
 
     def _check_options(self) -> None:
         """Check that no option is given that has no effect."""
@@ -124,7 +129,10 @@ class ViewCommand(options_of(Drop, without=_NOT_OPTIONS)):
     @contextmanager
     def _live(self) -> Iterator[Live]:
         """Make the environment of a policy, with the policy in it."""
-        actor = find_actor(self.model.as_posix(), trust=self.trust)
+        name = self.model.as_posix()
+        if is_environment(name):
+            raise InputError(f"{name} is an environment: name a policy, or the folder of a run")
+        actor = find_actor(name, trust=self.trust)
         arguments = {**actor.arguments, **parse_variant(self.on)}
         if not self.on:
             warn_of_sand(actor, sands_made(actor.environment, arguments))

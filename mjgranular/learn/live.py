@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from mjgranular.errors import InputError
@@ -10,10 +11,10 @@ from mjgranular.picture.viewer import Command
 
 
 class Live:
-    """An agent in an environment of the package, episode after episode, without a limit of time.
+    """An agent in an environment, episode after episode, without a limit of time.
 
     Args:
-        env: the environment, a `gymnasium.Env`.
+        env: the environment, of the package or a `MujocoEnv` of Gymnasium.
         agent: the agent.
         seed: seed of the first episode.
 
@@ -25,11 +26,13 @@ class Live:
     """
 
     def __init__(self, env: Any, agent: Agent, seed: int) -> None:
-        self._env, self._agent = env, agent
-        self._task = task = getattr(env.unwrapped, "task", None)
-        if task is None:
-            raise InputError("only environments of mjgranular are shown so: use `render` for films")
-        self.model, self.data, self.camera = env.unwrapped.model, env.unwrapped.data, task.camera
+        self._env, self._agent, bare = env, agent, env.unwrapped
+        self.model, self.data = getattr(bare, "model", None), getattr(bare, "data", None)
+        if not (isinstance(self.model, mujoco.MjModel) and isinstance(self.data, mujoco.MjData)):
+            raise InputError("only environments of MuJoCo are shown so: use `render` for films")
+        self._task = task = getattr(bare, "task", None)
+        renderer = getattr(bare, "mujoco_renderer", None)
+        self.camera = getattr(task, "camera", getattr(renderer, "default_cam_config", None)) or {}
         self.command: Command | None = None
         if hasattr(task, "set_command"):
             self.command = Command((task.command_x, task.command_y, task.command_yaw))

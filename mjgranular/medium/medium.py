@@ -10,7 +10,7 @@ from mjgranular._util.checks import kind_of
 from mjgranular.errors import InputError, UnknownNameError, listed, one_line, shown
 
 # From snow to tungsten powder, from dust to gravel: a value outside has a wrong unit.
-_DENSITIES = (10.0, 25000.0)
+DENSITIES = (10.0, 25000.0)
 _GRAINS = (1e-6, 0.1)
 
 DYNAMIC = "_dynamic"
@@ -71,7 +71,7 @@ class Medium:
                 f"{medium}: constants are a table of laws, {{'rft3d': {{name: Quantity(...)}}}}, "
                 f"not {shown(self.constants)}"
             )
-        sizes = [("bulk density", self.density, _DENSITIES, "kg/m^3")]
+        sizes = [("bulk density", self.density, DENSITIES, "kg/m^3")]
         if self.grain is not None:
             sizes.append(("grain size", self.grain, _GRAINS, "m"))
         for what, one, (low, high), unit in sizes:

@@ -27,7 +27,7 @@ _CHANGES = {  # of a command, by key; chosen: MuJoCo's viewer has other uses for
     _UP: (0, 0.1), _DOWN: (0, -0.1), _DOT: (1, 0.1), _SLASH: (1, -0.1), _LEFT: (2, 0.2),
     _RIGHT: (2, -0.2),
 }  # fmt: skip
-_FILM = "`mjgranular drop MODEL.xml --out DIR --video` films a run without one"
+_FILM = "--web serves a page, and `mjgranular drop MODEL.xml --out DIR --video` films a run"
 
 
 @dataclass

@@ -25,6 +25,7 @@ from mjgranular.errors import (
 )
 from mjgranular.law import DepthVelocityLaw, DistributedLinkLaw, Law, LinkLaw
 from mjgranular.law.rft import RftLaw
+from mjgranular.medium.medium import DENSITIES
 from mjgranular.relief.memory import REPOSE, Memory
 from mjgranular.relief.relief import frame_of
 from mjgranular.sand.material import DEFAULT_MEDIUM, law_named_in
@@ -192,6 +193,16 @@ _LEVEL = 1e-3
 
 _OF_SAND = (LinkLaw, DistributedLinkLaw, RftLaw, DepthVelocityLaw)
 """Laws known to be of sand: a custom law may be of mud, or of a lake."""
+
+
+def density(case: Case) -> Iterator[str]:
+    """Check the density of a law that was given its own; a medium checks that of its grains."""
+    value, (low, high) = getattr(case.law, "density", None), DENSITIES
+    if isinstance(value, (int, float)) and value > 0 and not low <= value <= high:
+        yield (
+            f"the law {case.law.name!r} has a density of {value:g} kg/m^3, and sand has {low:g} to "
+            f"{high:g}: 1 g/cm^3 is 1000 kg/m^3"
+        )
 
 
 def timestep(case: Case) -> Iterator[str]:
@@ -377,6 +388,7 @@ CHECKS = (
     (touch_sensors, UnfeltWarning),
     (flexes, UnfeltWarning),
     (floors, FloorWarning),
+    (density, RangeWarning),
     (timestep, RangeWarning),
     (gravity, RangeWarning),
     (slope, RangeWarning),

@@ -14,7 +14,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from mjgranular.errors import InputError
+from mjgranular._util.checks import check_switch
+from mjgranular.errors import InputError, shown
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.fields import rows
 from mjgranular.kernel.memory import SCENE, WARMSTART, records, scratch, table_at
@@ -48,6 +49,13 @@ class Explicit(Scheme):
     half_step: bool = True
     longest_step: float = 1e9  # any
     prescribed: bool = False
+
+    def __post_init__(self) -> None:
+        check_switch("Explicit: half_step", self.half_step)
+        if not (isinstance(self.longest_step, (int, float)) and self.longest_step > 0.0):
+            raise InputError(
+                f"Explicit: longest_step must be positive, not {shown(self.longest_step)} s"
+            )
 
     @property
     def step_limit(self) -> float:

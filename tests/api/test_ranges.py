@@ -6,9 +6,11 @@ import warnings
 import mujoco
 import pytest
 
-from mjgranular import Plane, Sand, add_sand, media
+from mjgranular import Plane, Rft3dLaw, Sand, add_sand, media
 from mjgranular.cli import main
 from mjgranular.errors import GranularWarning, RangeWarning
+
+SLIP = Rft3dLaw(density=1.55, internal_friction=0.67, surface_friction=0.4)
 
 
 def xml(timestep=2e-3, z=0.1):
@@ -19,6 +21,7 @@ def xml(timestep=2e-3, z=0.1):
 
 
 CASES = [
+    (xml(), {"law": SLIP}, r"density of 1\.55 kg/m\^3.*1 g/cm\^3 is 1000 kg/m\^3"),
     (xml(timestep=1), {}, r"time step is 1 s.*1 ms is 0\.001 s"),
     (xml(z=-5), {}, r"starts 4.97 m and more under"),
     # Of a size of its own: a sand that is prepared already is not judged again.

@@ -142,13 +142,13 @@ MODEL = mujoco.MjModel.from_xml_string(BLOCK)
 DATA = mujoco.MjData(MODEL)
 
 MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
-    "path for model": (lambda: mg.Sand("robot.xml"), "Sand takes a compiled mujoco.MjModel"),
+    "path for model": (lambda: mg.Sand("robot.xml"), "Sand takes a MjModel"),
     "spec for model": (
         lambda: mg.Sand(mujoco.MjSpec.from_string(BLOCK)),
-        "Sand takes a compiled mujoco.MjModel",
+        "Sand takes a MjModel",
     ),
-    "data for model": (lambda: mg.Sand(DATA), "Sand takes a compiled mujoco.MjModel"),
-    "nothing for model": (lambda: mg.Sand(None), "Sand takes a compiled mujoco.MjModel"),
+    "data for model": (lambda: mg.Sand(DATA), "Sand takes a MjModel"),
+    "nothing for model": (lambda: mg.Sand(None), "Sand takes a MjModel"),
     "medium by place": (lambda: mg.Sand(MODEL, "play_sand"), "sand is described by a SandSpec"),
     "misspelt field": (
         lambda: sand(medum="play_sand"),
@@ -247,7 +247,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "model to release": (
         lambda: sand().release(MODEL),
-        "Sand takes a mujoco.MjData, not a MjModel",
+        "Sand takes a MjData, not a MjModel",
     ),
     "steps of nothing": (
         lambda: on_sand("Hopper-v5", frame_skip=0),
@@ -314,22 +314,22 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     "block as floor": (lambda: sand(instead_of="block"), "geom 'block' is on body 'block'"),
     "model for data": (
         lambda: sand().step(MODEL),
-        "Sand takes a mujoco.MjData, not a MjModel; use",
+        "Sand takes a MjData, not a MjModel; use",
     ),
-    "nothing for data": (lambda: sand().step(None), "Sand takes a mujoco.MjData, not None; use"),
+    "nothing for data": (lambda: sand().step(None), "Sand takes a MjData, not None; use"),
     "another's data": (
         lambda: sand().step(DATA),
         "this MjData belongs to another model, as a deep copy or a pickle of one always does",
     ),
     "model for report": (
         lambda: sand().report(MODEL),
-        "Sand takes a mujoco.MjData, not a MjModel; use",
+        "Sand takes a MjData, not a MjModel; use",
     ),
     "body of a report": (
         lambda: mg.Sand(MODEL).report(DATA)["blok"],
         "no body with sand on it 'blok' ... did you mean block?",
     ),
-    "model for add_sand": (lambda: mg.add_sand(MODEL), "add_sand takes a mujoco.MjSpec"),
+    "model for add_sand": (lambda: mg.add_sand(MODEL), "add_sand takes a MjSpec"),
     "medium of add_sand": (
         lambda: added(medium="moon"),
         "no medium 'moon'; there are: glass_beads, glass_beads_3mm_close,",
@@ -525,7 +525,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "path for a model to tune": (
         lambda: tune("robot.xml", np.zeros(4), "sand"),
-        "tune takes a compiled mujoco.MjModel, not 'robot.xml'",
+        "tune takes a MjModel, not 'robot.xml'",
     ),
     "text for a strength": (
         lambda: tune(added(tunable=True), np.zeros(4), "sand", strength="2"),
@@ -541,11 +541,11 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "nothing for data in the engine": (
         lambda: rne_post_constraint(MODEL, None),
-        "rne_post_constraint takes a mujoco.MjData, not None",
+        "rne_post_constraint takes a MjData, not None",
     ),
     "model and data the wrong way round": (
         lambda: relief_of(DATA, MODEL),
-        "relief_of takes a compiled mujoco.MjModel, not a MjData; use data.model",
+        "relief_of takes a MjModel, not a MjData; use",
     ),
     "quantity that is none": (
         lambda: quantity("1500"),
@@ -631,6 +631,14 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     "batch of nobody's": (
         lambda: vec("mjgranular/LinkDorp-v0", 2),
         "no environment 'mjgranular/LinkDorp-v0' ... did you mean mjgranular/LinkDrop-v0?",
+    ),
+    "word for a switch of a scheme": (
+        lambda: mg.Explicit(half_step="no"),
+        "Explicit: half_step must be True or False, not 'no'",
+    ),
+    "text for a longest step": (
+        lambda: mg.Explicit(longest_step="1"),
+        "Explicit: longest_step must be positive, not '1' s",
     ),
     "repose in degrees": (
         lambda: mg.Memory(repose=32),

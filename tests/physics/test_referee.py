@@ -58,7 +58,7 @@ def test_errors_of_a_motion_that_is_too_deep_and_too_slow():
     slower = braking(deceleration=18.0)
     errors = compare(measured, slower)
     assert errors.final == pytest.approx(20 / 18 - 1, rel=1e-6)
-    assert errors.stop == pytest.approx(20 / 18 - 1, rel=1e-2)
+    assert errors.stopping_time == pytest.approx(20 / 18 - 1, rel=1e-2)
     difference = slower.depth - measured.depth
     assert errors.trajectory == pytest.approx(
         math.sqrt((difference**2).mean()) / measured.final_depth, rel=1e-2
@@ -69,7 +69,7 @@ def test_errors_of_a_motion_that_is_too_deep_and_too_slow():
 
 def test_a_motion_has_no_error_against_itself():
     errors = compare(braking(), braking())
-    assert (errors.trajectory, errors.final, errors.stop) == (0.0, 0.0, 0.0)
+    assert (errors.trajectory, errors.final, errors.stopping_time) == (0.0, 0.0, 0.0)
 
 
 def test_an_error_that_cancels_in_depth_shows_in_the_trajectory():
@@ -77,7 +77,7 @@ def test_an_error_that_cancels_in_depth_shows_in_the_trajectory():
     measured, sudden = braking(), braking(speed=2.0, deceleration=80.0)
     errors = compare(measured, sudden)
     assert errors.final == pytest.approx(0.0, abs=1e-9)
-    assert errors.stop == pytest.approx(-0.5, abs=0.01)
+    assert errors.stopping_time == pytest.approx(-0.5, abs=0.01)
     assert errors.trajectory > 0.1
 
 
@@ -252,7 +252,7 @@ def test_the_known_errors_of_a_sphere(timestep):
     inertia = replace(law, inertia=1.1)
     errors = compare(run.motion, simulate(run, medium, inertia, timestep=timestep))
     assert errors.final == pytest.approx(-0.06, abs=0.01)
-    assert errors.stop == pytest.approx(-0.39, abs=0.02)
+    assert errors.stopping_time == pytest.approx(-0.39, abs=0.02)
 
 
 def test_momentum_is_what_the_forces_say():

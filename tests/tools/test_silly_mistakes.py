@@ -169,6 +169,7 @@ render notes.txt | notes.txt holds no saved run
 render old --out film.avi | old holds no saved run (config.json
 render Hexapod-v0/ppo-0 | a film of Hexapod-v0/ppo-0 needs a file to write to: add --out FILE
 render Hexapod-v0/ppo-0 --out film.mp4 --fps 0 | a video has 1 to 240 frames a second
+render Hexapod-v0/ppo-0 --out film.mp4 --seed -1 | seed must be at least 0, not -1
 render mjgranular/Hexapod-v0 | mjgranular/Hexapod-v0 is an environment ... a film is made of a run
 list media moon | no medium 'moon'; there are: glass_beads, glass_beads_3mm_close,
 list media '' | no medium ''; there are: glass_beads, glass_beads_3mm_close,

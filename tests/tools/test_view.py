@@ -7,7 +7,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -20,6 +20,9 @@ from mjgranular import InputError, Plane, RenderError, Sand, UnknownNameError, a
 from mjgranular.cli import main
 from mjgranular.cli.view import ViewCommand
 from mjgranular.engine.instances import sands_in
+from mjgranular.learn import environments
+from mjgranular.learn.agents import make_baseline
+from mjgranular.learn.live import Live
 from mjgranular.picture import viewer
 from mjgranular.picture.viewer import FRAME, Switch, check_display, follow
 
@@ -238,6 +241,19 @@ def test_a_robot_is_driven_by_keys(clock: Clock) -> None:
         assert np.linalg.norm(live.data.qvel[:2]) < 0.3
 
 
+def test_an_agent_in_an_environment_of_gymnasium_is_shown(clock: Clock) -> None:
+    with closing(environments.one("Hopper-v5", {"max_episode_steps": -1})) as env:
+        live = Live(env, make_baseline("zero", "Hopper-v5", env), 0)
+        assert live.camera["trackbodyid"] == 2
+        how = {"step": live.step, "restart": live.restart}
+        window = Window(clock, 90, {60: lambda: mujoco.mj_resetData(live.model, live.data)})
+        follow(window, live.model, live.data, Switch(), **how)
+    assert live.data.time == pytest.approx(0.5, abs=0.1)
+    assert live._steps == pytest.approx(60, abs=12)
+    with closing(environments.one("CartPole-v1", {})) as env, pytest.raises(InputError, match="of"):
+        Live(env, make_baseline("zero", "CartPole-v1", env), 0)
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
@@ -245,6 +261,8 @@ def test_a_robot_is_driven_by_keys(clock: Clock) -> None:
         (["block.xml", "--on", "strength=2"], "--on is for policies"),
         (["Hexapod-v0/ppo-00"], "did you mean Hexapod-v0/ppo-0"),
         (["Hexapod-v0/ppo-0", "--on", "medum=1"], "no option 'medum'"),
+        (["Hexapod-v0/ppo-0", "--seed", "-1"], "seed must be at least 0, not -1"),
+        (["mjgranular/Hexapod-v0"], "is an environment: name a policy, or the folder of a run"),
     ],
 )
 def test_mistakes_with_policies(
