@@ -121,6 +121,9 @@ def progress_bar(
     Yield `show(done, what=None)`, to be called with the amount of work done and, if it changes, the
     description. `remaining` adds the remaining time.
     """
+    if not err.is_terminal:  # rich would print an empty line
+        yield lambda done, what=None: None
+        return
     columns = (
         TextColumn("{task.description}", markup=False),
         BarColumn(),

@@ -31,8 +31,8 @@ from mjgranular.relief.relief import frame_of
 from mjgranular.sand.material import DEFAULT_MEDIUM, law_named_in
 from mjgranular.sand.spec import SandSpec
 from mjgranular.shape.select import body_name, collides, is_choice, moves
-from mjgranular.shape.sizes import geom_name, half_extents
-from mjgranular.surface import Bed, HeightField, Plane, Surface
+from mjgranular.shape.sizes import LARGEST, geom_name, half_extents
+from mjgranular.surface import Bed, Plane, Surface
 from mjgranular.surface.floors import CARRIES, WOULD_CARRY, FloorWatch, describe_floors, find_floors
 
 
@@ -83,8 +83,8 @@ def touch_sensors(case: Case) -> Iterator[str]:
         )
 
 
-def flexes(case: Case) -> Iterator[str]:
-    """Check that no flex is ignored, unless the user has chosen what meets the sand."""
+def ignored_parts(case: Case) -> Iterator[str]:
+    """Check that no flex and no geom of a mocap body is ignored, unless the user has chosen."""
     model, spec = case.model, case.spec
     if spec.groups is not None or is_choice(spec.bodies) or is_choice(spec.geoms):
         return
@@ -94,6 +94,16 @@ def flexes(case: Case) -> Iterator[str]:
                 f"the sand does not act on flex {name_of(model, 'flex', flex) or flex!r}: it feels "
                 "geoms of rigid bodies alone; name with bodies=[...] those that meet it"
             )
+    for geom in range(model.ngeom):
+        body = int(model.geom_bodyid[geom])
+        root = int(model.body_rootid[body])
+        if model.body_mocapid[root] >= 0 and collides(model, geom) and not moves(model, body):
+            yield (
+                f"the sand does not act on mocap body {body_name(model, root)}, to which MuJoCo "
+                "gives no velocity: put its geoms on a free body and <weld> that to it, or name "
+                "with bodies=[...] those that meet the sand"
+            )
+            return
 
 
 def _bodies_of_flex(model: mujoco.MjModel, flex: int) -> set[int]:
@@ -325,9 +335,26 @@ def link_law(case: Case) -> Iterator[str]:
         )
 
 
+_WIDEST = 10.0
+"""Width of a geom that meets the sand [m]: an excavator's. A geom drawn in millimeters has more."""
+
 MANY = 20_000
 """Number of elements above which a warning is given. Chosen: with all of them in the sand a step
 takes twice the two milliseconds that models of robots have for a time step."""
+
+
+def sizes(case: Case) -> Iterator[str]:
+    """Check that geoms are not drawn in millimeters."""
+    model, geoms = case.model, case.geoms
+    if not (model.geom_size[list(geoms)] < LARGEST).all():
+        return  # an error where the elements are made
+    largest = max(geoms, key=lambda geom: model.geom_rbound[geom])
+    across = 2 * float(model.geom_rbound[largest])
+    if across > _WIDEST:
+        yield (
+            f"geom {geom_name(model, largest)} is {across:.3g} m across: lengths are in meters, "
+            f"and {across:.3g} mm is {across / 1000:.3g} m"
+        )
 
 
 def cost(elements: np.ndarray) -> Iterator[str]:
@@ -363,7 +390,7 @@ def missed_steps(
 def buried_geoms(case: Case) -> Iterator[str]:
     """Check that no geom starts fully under sand with memory; heights may be set later."""
     model, surface, memory = case.model, case.surface, case.memory
-    if memory is None or isinstance(surface, HeightField):
+    if memory is None or not isinstance(surface, Plane | Bed):
         return
     frame, data = frame_of(surface, surface.record(model)[0]), _data_at_start(model)
     deepest, under = -1, memory.cell
@@ -386,13 +413,14 @@ def buried_geoms(case: Case) -> Iterator[str]:
 
 CHECKS = (
     (touch_sensors, UnfeltWarning),
-    (flexes, UnfeltWarning),
+    (ignored_parts, UnfeltWarning),
     (floors, FloorWarning),
     (density, RangeWarning),
     (timestep, RangeWarning),
     (gravity, RangeWarning),
     (slope, RangeWarning),
     (start, RangeWarning),
+    (sizes, RangeWarning),
     (buried_geoms, GranularWarning),
     (points, PointsWarning),
 )

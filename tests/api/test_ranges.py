@@ -24,6 +24,7 @@ CASES = [
     (xml(), {"law": SLIP}, r"density of 1\.55 kg/m\^3.*1 g/cm\^3 is 1000 kg/m\^3"),
     (xml(timestep=1), {}, r"time step is 1 s.*1 ms is 0\.001 s"),
     (xml(z=-5), {}, r"starts 4.97 m and more under"),
+    (xml().replace(".1 .05 .03", "100 50 30"), {}, r"geom .* is 232 m across.*232 mm is 0\.232 m"),
     # Of a size of its own: a sand that is prepared already is not judged again.
     (
         xml().replace("<option", '<option gravity="0 -9.81 0"').replace(".03", ".031"),

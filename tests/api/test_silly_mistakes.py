@@ -142,13 +142,13 @@ MODEL = mujoco.MjModel.from_xml_string(BLOCK)
 DATA = mujoco.MjData(MODEL)
 
 MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
-    "path for model": (lambda: mg.Sand("robot.xml"), "Sand takes a MjModel"),
+    "path for model": (lambda: mg.Sand("robot.xml"), "Sand takes an MjModel"),
     "spec for model": (
         lambda: mg.Sand(mujoco.MjSpec.from_string(BLOCK)),
-        "Sand takes a MjModel",
+        "Sand takes an MjModel",
     ),
-    "data for model": (lambda: mg.Sand(DATA), "Sand takes a MjModel"),
-    "nothing for model": (lambda: mg.Sand(None), "Sand takes a MjModel"),
+    "data for model": (lambda: mg.Sand(DATA), "Sand takes an MjModel"),
+    "nothing for model": (lambda: mg.Sand(None), "Sand takes an MjModel"),
     "medium by place": (lambda: mg.Sand(MODEL, "play_sand"), "sand is described by a SandSpec"),
     "misspelt field": (
         lambda: sand(medum="play_sand"),
@@ -185,7 +185,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "medium without the law": (
         lambda: sand(medium="play_sand", law="rft3d"),
-        "no constants in medium 'play_sand' for law 'rft3d'; there are: link, rft2d (media with",
+        "no constants in medium 'play_sand' for law 'rft3d'; there are: link, rft2d",
     ),
     "law's name": (
         lambda: sand(law="rtf3d"),
@@ -247,7 +247,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "model to release": (
         lambda: sand().release(MODEL),
-        "Sand takes a MjData, not a MjModel",
+        "Sand takes an MjData, not an MjModel",
     ),
     "steps of nothing": (
         lambda: on_sand("Hopper-v5", frame_skip=0),
@@ -314,22 +314,22 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     "block as floor": (lambda: sand(instead_of="block"), "geom 'block' is on body 'block'"),
     "model for data": (
         lambda: sand().step(MODEL),
-        "Sand takes a MjData, not a MjModel; use",
+        "Sand takes an MjData, not an MjModel; use",
     ),
-    "nothing for data": (lambda: sand().step(None), "Sand takes a MjData, not None; use"),
+    "nothing for data": (lambda: sand().step(None), "Sand takes an MjData, not None; use"),
     "another's data": (
         lambda: sand().step(DATA),
         "this MjData belongs to another model, as a deep copy or a pickle of one always does",
     ),
     "model for report": (
         lambda: sand().report(MODEL),
-        "Sand takes a MjData, not a MjModel; use",
+        "Sand takes an MjData, not an MjModel; use",
     ),
     "body of a report": (
         lambda: mg.Sand(MODEL).report(DATA)["blok"],
         "no body with sand on it 'blok' ... did you mean block?",
     ),
-    "model for add_sand": (lambda: mg.add_sand(MODEL), "add_sand takes a MjSpec"),
+    "model for add_sand": (lambda: mg.add_sand(MODEL), "add_sand takes an MjSpec"),
     "medium of add_sand": (
         lambda: added(medium="moon"),
         "no medium 'moon'; there are: glass_beads, glass_beads_3mm_close,",
@@ -521,11 +521,11 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "data for a state": (
         lambda: tune(added(tunable=True), DATA, "sand", strength=2),
-        "not to a MjData; use data.plugin_state",
+        "not to an MjData; use data.plugin_state",
     ),
     "path for a model to tune": (
         lambda: tune("robot.xml", np.zeros(4), "sand"),
-        "tune takes a MjModel, not 'robot.xml'",
+        "tune takes an MjModel, not 'robot.xml'",
     ),
     "text for a strength": (
         lambda: tune(added(tunable=True), np.zeros(4), "sand", strength="2"),
@@ -541,11 +541,11 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "nothing for data in the engine": (
         lambda: rne_post_constraint(MODEL, None),
-        "rne_post_constraint takes a MjData, not None",
+        "rne_post_constraint takes an MjData, not None",
     ),
     "model and data the wrong way round": (
         lambda: relief_of(DATA, MODEL),
-        "relief_of takes a MjModel, not a MjData; use",
+        "relief_of takes an MjModel, not an MjData; use",
     ),
     "quantity that is none": (
         lambda: quantity("1500"),
@@ -683,7 +683,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "model for a drop": (
         lambda: Drop(MODEL),  # pyright: ignore[reportArgumentType]
-        "a drop is of an MJCF file, Drop('robot.xml') ... a MjModel ... use Sand",
+        "a drop is of an MJCF file, Drop('robot.xml') ... an MjModel ... use Sand",
     ),
     "memory of an impact": (
         lambda: Impact(memory=mg.Memory()),  # pyright: ignore[reportArgumentType]

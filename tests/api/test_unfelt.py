@@ -40,6 +40,7 @@ DOORS = pytest.mark.parametrize("door", [by_sand, by_plugin])
     ("part", "told"),
     [
         (NAMED, r"flex 'cloth': it feels geoms of rigid bodies alone.*bodies="),
+        (TOOL.format(more=""), r"mocap body 'tool'.*free body and <weld>.*bodies="),
     ],
 )
 def test_what_moves_unfelt_is_named(door, part, told):
