@@ -22,7 +22,7 @@ def check_model(model: Any, who: str) -> None:
 
 def check_spec(spec: Any, who: str) -> None:
     """Check that `spec` is an `MjSpec`."""
-    check_kind(spec, mujoco.MjSpec, who, "MjSpec.from_file(...)")
+    check_kind(spec, mujoco.MjSpec, who, "MjSpec.from_file(...), or Sand for a compiled model")
 
 
 def check_data(data: Any, who: str) -> None:
