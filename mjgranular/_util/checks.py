@@ -22,7 +22,7 @@ def check_model(model: Any, who: str) -> None:
 
 def check_spec(spec: Any, who: str) -> None:
     """Check that `spec` is an `MjSpec`."""
-    check_kind(spec, mujoco.MjSpec, who, "MjSpec.from_file(...), or mjgranular.Sand for a model")
+    check_kind(spec, mujoco.MjSpec, who, "MjSpec.from_file(...), or Sand for a compiled model")
 
 
 def check_data(data: Any, who: str) -> None:
@@ -99,4 +99,4 @@ def kind_of(value: Any) -> str:
 
 def _one(name: str) -> str:
     """Return a name with its article; "Mj" is pronounced letter by letter."""
-    return f"{'an' if name[0] in 'AEIOU' or name.startswith('Mj') else 'a'} {name}"
+    return f"{'an' if name[0] in 'AEIOU' else 'a'} {name}"

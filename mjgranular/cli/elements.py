@@ -67,7 +67,6 @@ class ElementsCommand(options_of(Drop, *_CHOICE)):
         with warnings.catch_warnings():  # no step is made: a floor does not matter
             warnings.simplefilter("ignore", FloorWarning)
             sand = Sand(model, drop.sand, scheme=Explicit(prescribed=True), shared=True)
-        mujoco.mj_kinematics(model, data)
         return sand, data
 
     def _show(self, sand: Sand) -> None:

@@ -1,6 +1,7 @@
 """`mjgranular fit`: a medium from measurements."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -88,10 +89,17 @@ class FitCommand:
 
 
 def _run(fit: Fit) -> FitResult:
-    """Run a fit with a progress bar."""
+    """Run a fit; show a progress bar as soon as the data are read and checked."""
     guess = len(fit.runs) * (1 + 2 * len(fit.free)) * _ROUNDS
-    with progress_bar("fitting", guess) as show:
-        return run_fit(fit, progress=lambda done: show(min(done, 0.95 * guess)))
+    with ExitStack() as stack:
+        bars: list[Callable[..., None]] = []
+
+        def progress(done: int) -> None:
+            if not bars:
+                bars.append(stack.enter_context(progress_bar("fitting", guess)))
+            bars[0](min(done, 0.95 * guess))
+
+        return run_fit(fit, progress=progress)
 
 
 def sentences(result: FitResult) -> Iterator[str]:

@@ -90,6 +90,10 @@ class Impact:
         for name, value in (("time step", self.timestep), ("duration", self.duration)):
             if not (is_finite(value) and value > 0):
                 raise InputError(f"the {name} must be positive and finite, got {value} s")
+        if self.timestep > self.duration:
+            raise InputError(
+                f"the time step ({self.timestep} s) is longer than the duration ({self.duration} s)"
+            )
         if self.until not in get_args(Until):
             raise InputError(f"until must be one of {listed(get_args(Until))}, got {self.until!r}")
         if not isinstance(self.law, str | None) or not isinstance(self.medium, str):

@@ -85,7 +85,7 @@ def draw_elements(
 
     Args:
         sand: the sand whose elements are drawn.
-        data: the simulation; None for the model's `qpos0`, at rest.
+        data: the simulation, of which `qpos` is drawn; None for the model's `qpos0`, at rest.
         color: meaning of the colors: "body" or "geom".
         normals: whether normals of facets are drawn.
         forces: whether the sand's force on each element is drawn, as an arrow.
@@ -105,10 +105,8 @@ def draw_elements(
         check_file(Path(file))
     matplotlib = require("matplotlib", extra="figures", purpose="Drawing elements")
     require("matplotlib.figure", extra="figures", purpose="Drawing elements")
-    if data is None:
-        data = mujoco.MjData(sand.model)
-        mujoco.mj_kinematics(sand.model, data)
-    shown = Shown.at(sand, data, color)
+    data = mujoco.MjData(sand.model) if data is None else data
+    shown = Shown.at(sand, data, color, of_state=True)
     with matplotlib.rc_context(_STYLE):
         figure = matplotlib.figure.Figure(figsize=(6.4, 5.6), layout="none")
         _draw(figure, shown, sand.surface, normals=normals, forces=forces)

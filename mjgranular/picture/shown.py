@@ -38,11 +38,21 @@ class Shown:
     names: dict[str, np.ndarray]  # colors by the names that they stand for
 
     @classmethod
-    def at(cls, sand: Sand, data: mujoco.MjData, color: str) -> Self:
-        """Return the elements at the state in `data`."""
+    def at(cls, sand: Sand, data: mujoco.MjData, color: str, *, of_state: bool = False) -> Self:
+        """Return the elements at the state in `data`.
+
+        Poses of bodies are those that MuJoCo computed last, as in its scenes, or with `of_state`
+        those at `qpos`.
+        """
         kind, elements, report = kind_of(sand), sand.elements, sand.report(data)
         if color not in get_args(Color):
             raise UnknownNameError("way to color elements", color, get_args(Color))
+        poses = data
+        if of_state:
+            poses = mujoco.MjData(sand.model)
+            for name in ("qpos", "mocap_pos", "mocap_quat"):
+                getattr(poses, name)[:] = getattr(data, name)
+            mujoco.mj_kinematics(sand.model, poses)
         words = report.names.bodies if color == "body" else report.names.geoms
         ids, rank = np.unique(elements[color], return_inverse=True)
         tints = np.array([rgb(_PALETTE[k % len(_PALETTE)]) for k in range(len(ids))])
@@ -52,8 +62,8 @@ class Shown:
             _, first, geom = np.unique(elements["geom"], return_index=True, return_inverse=True)
             colors[(np.arange(len(elements)) - first[geom]) % 2 == 1] *= 0.75
         body = elements["body"]
-        turn = data.xmat[body].reshape(-1, 3, 3)
-        return cls(kind, elements, data.xpos[body], turn, report, colors, names)
+        turn = poses.xmat[body].reshape(-1, 3, 3)
+        return cls(kind, elements, poses.xpos[body], turn, report, colors, names)
 
     def place(self, local: np.ndarray) -> np.ndarray:
         """Return world positions of points given in body frames, shape (n, k, 3)."""

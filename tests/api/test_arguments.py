@@ -37,13 +37,13 @@ def spec():
 
 
 MISTAKES = {
-    "path for model": (lambda: Sand("robot.xml"), r"use MjModel.from_xml_path"),
-    "Path for model": (lambda: Sand(Path("robot.xml")), r"use MjModel.from_xml_path"),
-    "spec for model": (lambda: Sand(spec()), r"spec.compile\(\)"),
-    "data for model": (lambda: Sand(mujoco.MjData(model())), "data.model"),
+    "path for model": (lambda: Sand("robot.xml"), r"not 'robot.xml'; use MjModel.from_xml_path\("),
+    "Path for model": (lambda: Sand(Path("robot.xml")), r"Path; use MjModel.from_xml_path\("),
+    "spec for model": (lambda: Sand(spec()), r"use .* spec.compile\(\)"),
+    "data for model": (lambda: Sand(mujoco.MjData(model())), "use .* or data.model"),
     "nothing for model": (lambda: Sand(None), "not None"),
-    "model for spec": (lambda: add_sand(model()), "mjgranular.Sand"),
-    "path for spec": (lambda: add_sand("a.xml"), "use MjSpec.from_file"),
+    "model for spec": (lambda: add_sand(model()), "use .* or Sand for a compiled model"),
+    "path for spec": (lambda: add_sand("a.xml"), r"'a.xml'; use MjSpec.from_file\("),
     "model for data": (lambda: Sand(model(), **SAND).step(model()), r"MjData\(model\)"),
     "nothing to report": (lambda: Sand(model(), **SAND).report(None), "not None"),
     "nothing to apply to": (lambda: Sand(model(), **SAND).apply("x"), "not 'x'"),

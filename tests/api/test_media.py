@@ -220,7 +220,7 @@ def changed(old, new):
         (changed("value: 1500", "value: heavy"), "density.value must be a number, .*got 'heavy'"),
         (changed("value: 1500", "value: true"), "density.value must be a number, .*got 'true'"),
         (changed("value: 1500", "value: [1500]"), "density.value must be a number"),
-        (changed("value: 1500", "value:"), "density.value must be a number"),
+        (changed("value: 1500", "value:"), "density.value must be a number, .*got ''"),
         (changed("value: 1500", "value: .nan"), "density.value must be a number"),
         (changed("value: 1500", "value: .inf"), "density.value must be a number"),
         (changed("value: 1500", "value: -1500"), f"density must be {RANGE}, not -1500"),

@@ -156,7 +156,7 @@ def test_what_sleeps_keeps_its_readings() -> None:
     ("before", "after", "said"),
     [
         ('value="moment"', 'value="torque"', "no measure 'torque'; there are: force, moment"),
-        ('key="sand" value="sand"', 'key="sand" value="mud"', "'mud'; there are: sand"),
+        ('key="sand" value="sand"', 'key="sand" value="mud"', "no sand in the model 'mud'"),
         ('objtype="body" objname="b"', 'objtype="body" objname="stone"', "those that do: a, b"),
         ('objtype="body" objname="a"', "", "a moment is about"),
         ('objtype="body" objname="b"', 'objtype="geom" objname="g"', "objtype must be body"),

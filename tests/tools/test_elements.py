@@ -190,8 +190,6 @@ def test_the_figure_follows_data(facets, tmp_path):
     raised, pushed = mujoco.MjData(facets.model), mujoco.MjData(facets.model)
     raised.qpos[2] += 1.0
     pushed.qvel[:] = -0.1
-    for data in (raised, pushed):
-        mujoco.mj_kinematics(facets.model, data)
     for name, options in (
         ("raised.png", {"data": raised}),
         ("pushed.svg", {"forces": True, "data": pushed}),
