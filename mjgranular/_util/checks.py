@@ -99,4 +99,4 @@ def kind_of(value: Any) -> str:
 
 def _one(name: str) -> str:
     """Return a name with its article; "Mj" is pronounced letter by letter."""
-    return f"{'an' if name[0] in 'AEIOU' else 'a'} {name}"
+    return f"{'an' if name[0] in 'AEIOU' or name.startswith('Mj') else 'a'} {name}"

@@ -1,7 +1,6 @@
 """`mjgranular fit`: a medium from measurements."""
 
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -89,17 +88,10 @@ class FitCommand:
 
 
 def _run(fit: Fit) -> FitResult:
-    """Run a fit; show a progress bar as soon as the data are read and checked."""
+    """Run a fit with a progress bar."""
     guess = len(fit.runs) * (1 + 2 * len(fit.free)) * _ROUNDS
-    with ExitStack() as stack:
-        bars: list[Callable[..., None]] = []
-
-        def progress(done: int) -> None:
-            if not bars:
-                bars.append(stack.enter_context(progress_bar("fitting", guess)))
-            bars[0](min(done, 0.95 * guess))
-
-        return run_fit(fit, progress=progress)
+    with progress_bar("fitting", guess) as show:
+        return run_fit(fit, progress=lambda done: show(min(done, 0.95 * guess)))
 
 
 def sentences(result: FitResult) -> Iterator[str]:
