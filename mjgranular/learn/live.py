@@ -30,12 +30,15 @@ class Live:
         self.model, self.data = getattr(bare, "model", None), getattr(bare, "data", None)
         if not (isinstance(self.model, mujoco.MjModel) and isinstance(self.data, mujoco.MjData)):
             raise InputError("only environments of MuJoCo are shown so: use `render` for films")
-        self._task = task = getattr(bare, "task", None)
+        self._task: Any = getattr(bare, "task", None)
         renderer = getattr(bare, "mujoco_renderer", None)
-        self.camera = getattr(task, "camera", getattr(renderer, "default_cam_config", None)) or {}
+        self.camera = (
+            getattr(self._task, "camera", getattr(renderer, "default_cam_config", None)) or {}
+        )
         self.command: Command | None = None
-        if hasattr(task, "set_command"):
-            self.command = Command((task.command_x, task.command_y, task.command_yaw))
+        if hasattr(self._task, "set_command"):
+            limits = self._task.command_x, self._task.command_y, self._task.command_yaw
+            self.command = Command(limits)
         self.restart(seed)
 
     def restart(self, seed: int | None = None) -> None:
