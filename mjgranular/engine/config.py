@@ -36,6 +36,9 @@ STATE_KEYS = ("memory", "tunable")
 
 _CHOICES = ("bodies", "geoms", "groups")  # of what meets the sand
 
+LONGEST = 100_000
+"""Maximum length of a value in characters; chosen: the names of some thousand bodies."""
+
 DRAWINGS = ("forces", "depth", "surface")
 """Drawings of the plugin: arrows of force, dots colored by depth, an infinite plane of sand."""
 
@@ -52,6 +55,11 @@ class Config:
 def read_config(texts: Mapping[str, str]) -> Config:
     """Parse the strings of an instance by key; an empty string counts as missing."""
     given = {key: text for key, text in texts.items() if text}
+    for key, text in given.items():
+        if len(text) > LONGEST:
+            raise InputError(
+                f"config {key!r}: a string of {len(text)} characters; at most {LONGEST} are read"
+            )
     readers = {
         "medium": get_medium,
         "surface": surface_of,

@@ -14,7 +14,7 @@ import mjgranular as mg
 from mjgranular import InputError, UnknownNameError
 from mjgranular._util.io import read_file
 from mjgranular.cli import main
-from mjgranular.engine.config import read_config
+from mjgranular.engine.config import LONGEST, read_config
 from mjgranular.errors import listed, one_line, shown
 from mjgranular.medium import read_medium
 from mjgranular.medium.file import EXAMPLE, LARGEST
@@ -181,6 +181,7 @@ def test_hostile_settings_are_refused_at_once(tmp_path: Path, text: str, said: s
 @pytest.mark.parametrize(
     ("key", "text", "said"),
     [
+        ("bodies", "x" * (LONGEST + 1), f"{LONGEST + 1} characters"),
         ("bodies", "'" + "x" * 9000, "cannot be split"),
         ("medium", "x" * 90_000, "no medium"),
         ("medium", "x" * 90_000 + ".yaml", "cannot read the medium"),
