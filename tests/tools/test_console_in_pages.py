@@ -52,7 +52,7 @@ def commands(text):
     """The command lines of `mjgranular` in a page, without what is before and behind them."""
     blocks = re.findall(r"^```sh\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
     lines = [line for block in blocks for line in block.splitlines()]
-    return re.findall(r"^mjgranular (.*?)(?: +#.*)?$", "\n".join(lines), re.M)
+    return re.findall(r"^mjgranular (.*?)(?: +[#>].*)?$", "\n".join(lines), re.M)
 
 
 @pytest.fixture

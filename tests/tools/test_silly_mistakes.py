@@ -115,7 +115,7 @@ drop block.xml --scheme rk4 | no scheme 'rk4'; there are: auto, explicit,
 drop block.xml --scheme 'implicit tolerance=0' | the scheme 'implicit' has no option 'tolerance'
 drop block.xml --bodies blok | no body of the model 'blok' ... did you mean block?
 drop block.xml --bodies '' | no body of the model ''; there are: world,
-drop block.xml --bodies world | body 'world' is fixed to the world: sand cannot act on it
+drop block.xml --bodies world | body 'world' is fixed to the world
 drop block.xml --geoms 99 | the model has no geom number 99: they go from 0 to 0
 drop block.xml --groups 7 | no geoms of bodies that can move in geom group 7; there are: 0
 drop block.xml --resolution 0 | the resolution must be at least 2
