@@ -132,7 +132,7 @@ def _medium(content: Any) -> Medium:
         name=_text("name", content["name"]),
         title=_text("title", content["title"]),
         density=_quantity("density", content["density"], "kg/m^3", "kg/m³"),
-        grain=_quantity("grain", grain, "m") if grain else None,
+        grain=None if grain in (None, "", "~", "null") else _quantity("grain", grain, "m"),
         default_law=_text("default_law", content["default_law"]),
         constants=constants,
     )

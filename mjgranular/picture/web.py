@@ -24,6 +24,7 @@ _SUN = {"position": (7.0, -2.6, 4.0), "intensity": 1.5, "cast_shadow": True}  # 
 _GAMMA = 2.2  # of MuJoCo's colors; those of meshes in browsers are linear
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION.value
 _GEOM = record_of("mjvGeom")
+_DECOR = mujoco.mjtCatBit.mjCAT_DECOR.value  # what is not in the model: sand, arrows, dots
 _KINDS = "PLANE", "HFIELD", "BOX", "SKIN", "ARROW", "SPHERE"
 _PLANE, _FIELD, _BOX, _SKIN, _ARROW, _SPHERE = (
     int(getattr(mujoco.mjtGeom, f"mjGEOM_{kind}")) for kind in _KINDS
@@ -53,8 +54,8 @@ class Page:
     ) -> None:
         self._model, self._data, self._switch = model, data, switch
         self._scene = scene = mujoco.MjvScene(model, maxgeom=10_000)  # as in MuJoCo's viewer
-        decor = mujoco.mjtCatBit.mjCAT_DECOR.value  # what is not in the model: sand, arrows, dots
-        self._view = mujoco.MjvOption(), None, mujoco.MjvCamera(), decor
+        seen = _DECOR | mujoco.mjtCatBit.mjCAT_STATIC.value  # and a floor with the look of sand
+        self._view = mujoco.MjvOption(), None, mujoco.MjvCamera(), seen
         # All geoms in memory: MuJoCo's attributes of one take 0.1 ms each.
         begin = scene.geoms[0].pos.ctypes.data - offset_of("mjvGeom", "pos")
         memory = (ctypes.c_char * (scene.maxgeom * _GEOM.itemsize)).from_address(begin)
@@ -64,9 +65,11 @@ class Page:
         self._due, self._last = 0.0, (0.0, 0.0)  # of meshes of sand: next time, last times
         self._drawn, self._meshes, self._old, self._parity = None, [], [], 0
         shown = copy.copy(model)  # mjviser changes it, shows every plane, and boxes without texture
-        hidden = (shown.geom_type == _PLANE) & (shown.geom_group == NOT_SHOWN)
-        shown.geom_type[hidden], shown.geom_rgba[hidden, 3] = _BOX, 0.0
         sand = [k for k in range(model.nmat) if model.material(k).name.endswith(MATERIAL)]
+        self._sand = sand
+        hidden = (shown.geom_group == NOT_SHOWN) | np.isin(shown.geom_matid, sand)
+        hidden &= shown.geom_type == _PLANE
+        shown.geom_type[hidden], shown.geom_rgba[hidden, 3] = _BOX, 0.0
         beds = np.isin(shown.geom_matid, sand) & (shown.geom_type == _BOX)
         shown.geom_matid[beds], shown.geom_rgba[beds] = -1, np.power(COLOR, _GAMMA)
         rich.get_console().quiet = True  # viser prints to it
@@ -128,6 +131,9 @@ class Page:
         self._robot.update_from_mjdata(data)
         mujoco.mjv_updateScene(model, data, *self._view, self._scene)
         geoms = self._geoms[: self._scene.ngeom]
+        ours = geoms["category"] == _DECOR
+        floors = geoms[~ours & (geoms["type"] == _PLANE) & np.isin(geoms["matid"], self._sand)]
+        geoms = geoms[ours]
         arrows, dots = (geoms[geoms["type"] == kind] for kind in (_ARROW, _SPHERE))
         self._arrows.visible, self._dots.visible = bool(len(arrows)), bool(len(dots))
         if len(arrows):
@@ -137,7 +143,8 @@ class Page:
             self._dots.points = dots["pos"].copy()
             self._dots.colors = (255 * dots["rgba"][:, :3]).astype(np.uint8)
         if now >= self._due:
-            self._draw_sand(geoms[np.isin(geoms["type"], (_PLANE, _FIELD, _SKIN))])
+            drawn = geoms[np.isin(geoms["type"], (_PLANE, _FIELD, _SKIN))]
+            self._draw_sand(np.concatenate([floors, drawn]))
             rate = max(data.time - self._last[1], 0.0) / (now - self._last[0])
             self._time.value = f"{data.time:.2f} s, {rate:.2f} x real time"
             self._last = now, data.time

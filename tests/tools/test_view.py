@@ -221,6 +221,7 @@ def test_a_policy_goes_on_after_a_restart(clock: Clock) -> None:
     assert min(x, end) > start + 0.1  # it walks
 
 
+@pytest.mark.usefixtures("robots")
 def test_a_robot_is_driven_by_keys(clock: Clock) -> None:
     with ViewCommand(model=Path("Go1Velocity-v0/ppo-0"), on="randomise={}")._live() as live:
         command = live.command

@@ -29,6 +29,7 @@ from websockets.sync.client import connect
 from mjgranular import Bed, add_sand
 from mjgranular.cli import main
 from mjgranular.cli.view import ViewCommand
+from mjgranular.envs.single import SandEnv
 from mjgranular.picture.viewer import Command, Switch
 from mjgranular.picture.web import Page
 from mjgranular.render.material import COLOR
@@ -172,6 +173,12 @@ def test_what_has_not_changed_is_not_sent_again(ball: Path, port: int) -> None:
     np.testing.assert_allclose(sand.vertices[:, 2], 0.0, atol=1e-6)
     assert np.ptp(sand.vertices[:, 0]) > 10.0
     assert not browser.received("GridMessage", "floor")  # it is not shown in the window either
+
+
+def test_the_floor_of_an_environment_is_sand(port: int) -> None:
+    model = SandEnv("Hexapod").model  # without memory it has a plane that looks so
+    (sand,) = shown(model, port).sand()
+    assert np.ptp(sand.vertices[:, 0]) > 10.0
 
 
 def test_forces_and_depths_are_shown(ball: Path, port: int) -> None:
