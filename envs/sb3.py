@@ -65,7 +65,10 @@ class SandVecEnv(VecEnv):
 
     def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
         """Advance all simulations by one step."""
+        if self._actions is None:
+            raise InputError("step_async comes before step_wait")
         observations, rewards, terminated, truncated, info = self.batch.step(self._actions)
+        self._actions = None
         done = terminated | truncated
         final = info.pop("final_obs", None)
         ended = info.pop("final_info", {})

@@ -91,6 +91,7 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._plugin_state = self.batch.bind("plugin_state")
         self._numbers = {name: self.batch.expand(name) for name in self.task.varied}
         self._randoms: list[np.random.Generator | None] = [None] * num_envs
+        self._seeds: list[int | None] = [None] * num_envs
         self._episodes = np.zeros(num_envs, int)
         self._elapsed = np.zeros(num_envs, int)
         self._over = np.zeros(num_envs, bool)
@@ -102,6 +103,17 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     def state(self) -> State:
         """The state that methods of the task take."""
         return self._state
+
+    @property
+    def np_random(self) -> Any:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """Random generators of the simulations, as in `SyncVectorEnv`."""
+        return tuple(self._random(number) for number in range(self.num_envs))
+
+    @property
+    def np_random_seed(self) -> Any:
+        """Seeds of the simulations, as in `SyncVectorEnv`."""
+        _ = self.np_random
+        return tuple(self._seeds)
 
     def reset(
         self,
@@ -136,7 +148,7 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             )
         for number in np.flatnonzero(chosen):
             if seeds[number] is not None:
-                self._randoms[number], _ = seeding.np_random(seeds[number])
+                self._randoms[number], self._seeds[number] = seeding.np_random(seeds[number])
         self._begin(np.flatnonzero(chosen), ranges)
         info: dict[str, Any] = {}
         _add(info, self.task.reset_info(self._state), chosen)
@@ -215,7 +227,7 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     def _random(self, number: int) -> np.random.Generator:
         random = self._randoms[number]
         if random is None:
-            random, _ = seeding.np_random()
+            random, self._seeds[number] = seeding.np_random()
             self._randoms[number] = random
         return random
 

@@ -3,7 +3,7 @@
 import math
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import closing, contextmanager, nullcontext
 from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
@@ -80,8 +80,7 @@ class ViewCommand(options_of(Drop, without=_NOT_OPTIONS)):
             raise InputError("--host and --port are for a page: use --web")
         else:
             check_display()
-        with ExitStack() as closed:
-            live = closed.enter_context(self._live()) if self._is_policy() else None
+        with self._live() if self._is_policy() else nullcontext() as live:
             self._show(live)
         return 0
 
@@ -107,8 +106,7 @@ class ViewCommand(options_of(Drop, without=_NOT_OPTIONS)):
             shown = opened(model, data, switch, camera)
         with shown as viewer:
             err.print(note, style="dim")
-            how = {"duration": self.duration, "step": step, "restart": restart}
-            follow(viewer, model, data, switch, **how)
+            follow(viewer, model, data, switch, duration=self.duration, step=step, restart=restart)
 
     def _is_policy(self) -> bool:
         if self.model.is_dir() or self.model.name == POLICY:

@@ -84,7 +84,7 @@ class Window:
     def sync(self) -> None:
         """Show the current state."""
         if self._command is not None:
-            values = "\n".join(f"{value:.1f}" for value in self._command.values)
+            values = "\n".join(f"{value:.2f}" for value in self._command.values)
             if values != self._written:
                 self._written = values
                 self._handle.set_texts((None, None, "\n".join(Command.PARTS), values))

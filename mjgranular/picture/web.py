@@ -65,8 +65,8 @@ class Page:
         self._due, self._last = 0.0, (0.0, 0.0)  # of meshes of sand: next time, last times
         self._drawn, self._meshes, self._old, self._parity = None, [], [], 0
         shown = copy.copy(model)  # mjviser changes it, shows every plane, and boxes without texture
-        sand = [k for k in range(model.nmat) if model.material(k).name.endswith(MATERIAL)]
-        self._sand = sand
+        names = [model.material(k).name for k in range(model.nmat)]
+        self._sand = sand = [k for k, name in enumerate(names) if name.endswith(MATERIAL)]
         hidden = (shown.geom_group == NOT_SHOWN) | np.isin(shown.geom_matid, sand)
         hidden &= shown.geom_type == _PLANE
         shown.geom_type[hidden], shown.geom_rgba[hidden, 3] = _BOX, 0.0
@@ -93,14 +93,11 @@ class Page:
         self._pause = server.gui.add_checkbox("Pause", switch.held)
         self._speed = server.gui.add_number("Speed", switch.speed, min=1e-3, step=1e-3)
         self._restart = server.gui.add_button("Restart")
-        self._command = (
-            [
-                server.gui.add_slider(part, low, high, 0.05, min(max(0.0, low), high))
-                for part, (low, high) in zip(Command.PARTS, switch.command.limits, strict=True)
-            ]
-            if switch.command
-            else []
-        )
+        limits = switch.command.limits if switch.command else ()
+        self._command = [
+            server.gui.add_slider(part, low, high, 0.05, min(max(0.0, low), high))
+            for part, (low, high) in zip(Command.PARTS, limits, strict=False)
+        ]
         self._robot.create_scene_gui(camera_distance=3 * radius_of(model))
 
     @property

@@ -191,6 +191,9 @@ _DEEPEST_START = 1.0
 height in millimeters, or with the wrong sign, is further off. For a robot the limit is half its
 largest geom."""
 
+_WIDEST = 10.0
+"""Width of a geom that meets the sand [m]: an excavator's. A geom drawn in millimeters has more."""
+
 _STEEPEST = math.radians(75)
 """Angle between gravity and the way into a plane of sand. Sand slides from 35 degrees on; with
 gravity along y it is 90."""
@@ -203,6 +206,20 @@ _LEVEL = 1e-3
 
 _OF_SAND = (LinkLaw, DistributedLinkLaw, RftLaw, DepthVelocityLaw)
 """Laws known to be of sand: a custom law may be of mud, or of a lake."""
+
+
+def sizes(case: Case) -> Iterator[str]:
+    """Check that geoms are not drawn in millimeters."""
+    model, geoms = case.model, case.geoms
+    if not (model.geom_size[list(geoms)] < LARGEST).all():
+        return  # an error where the elements are made
+    largest = max(geoms, key=lambda geom: model.geom_rbound[geom])
+    across = 2 * float(model.geom_rbound[largest])
+    if across > _WIDEST:
+        yield (
+            f"geom {geom_name(model, largest)} is {across:.3g} m across: lengths are in meters, "
+            f"and {across:.3g} mm is {across / 1000:.3g} m"
+        )
 
 
 def density(case: Case) -> Iterator[str]:
@@ -335,26 +352,9 @@ def link_law(case: Case) -> Iterator[str]:
         )
 
 
-_WIDEST = 10.0
-"""Width of a geom that meets the sand [m]: an excavator's. A geom drawn in millimeters has more."""
-
 MANY = 20_000
 """Number of elements above which a warning is given. Chosen: with all of them in the sand a step
 takes twice the two milliseconds that models of robots have for a time step."""
-
-
-def sizes(case: Case) -> Iterator[str]:
-    """Check that geoms are not drawn in millimeters."""
-    model, geoms = case.model, case.geoms
-    if not (model.geom_size[list(geoms)] < LARGEST).all():
-        return  # an error where the elements are made
-    largest = max(geoms, key=lambda geom: model.geom_rbound[geom])
-    across = 2 * float(model.geom_rbound[largest])
-    if across > _WIDEST:
-        yield (
-            f"geom {geom_name(model, largest)} is {across:.3g} m across: lengths are in meters, "
-            f"and {across:.3g} mm is {across / 1000:.3g} m"
-        )
 
 
 def cost(elements: np.ndarray) -> Iterator[str]:

@@ -77,8 +77,8 @@ def test_sensors_say_what_the_report_says() -> None:
     power = sum(body.power for body in report.bodies)
     assert power < 0
     assert readings["power"] == pytest.approx(power, rel=1e-9)
-    wet = report.elements.depth > 0
-    fastest = np.linalg.norm(report.elements.velocity[wet], axis=1).max()
+    immersed = report.elements.depth > 0
+    fastest = np.linalg.norm(report.elements.velocity[immersed], axis=1).max()
     assert data.sensor("speed").data == pytest.approx(fastest, rel=1e-9)
     total = sum(body.force for body in report.bodies)
     assert data.sensor("whole").data == pytest.approx(total, rel=1e-9)

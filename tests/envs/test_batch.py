@@ -13,6 +13,7 @@ from mjgranular import InputError
 from mjgranular.envs import SandVectorEnv, tasks
 from mjgranular.envs.ids import id_of
 from mjgranular.envs.sb3 import SandVecEnv, make_vec_env
+from mjgranular.envs.single import SandEnv
 
 pytest.importorskip("mujoco.batch", reason="a MuJoCo without batches")
 
@@ -197,3 +198,12 @@ def test_stable_baselines_learns_on_it():
     assert batch.get_attr("num_envs") == [4] * 4
     assert batch.env_is_wrapped(gym.Wrapper) == [False] * 4
     batch.close()
+
+
+def test_generators_follow_from_the_seed():
+    batch = SandVectorEnv("ChainSwim", 2)
+    batch.reset(seed=3)
+    single = SandEnv("ChainSwim")
+    single.reset(seed=4)
+    assert batch.np_random_seed == (3, 4)
+    assert batch.np_random[1].bit_generator.state == single.np_random.bit_generator.state

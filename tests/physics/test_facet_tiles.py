@@ -125,18 +125,18 @@ def test_side_by_side_as_one_by_one(law, options):
         for kind in (Plane, OneByOne)
     ]
     rng = np.random.default_rng(1)
-    wet = 0
+    immersed = 0
     for _ in range(8):
         data = thrown(model, rng)
         one, other = (sand.report(data) for sand in sands)
-        wet += int((other.elements.depth > 0).sum())
+        immersed += int((other.elements.depth > 0).sum())
         for name in ("depth", "point", "velocity", "force", "immersed_length"):
             found, expected = getattr(one.elements, name), getattr(other.elements, name)
             np.testing.assert_allclose(found, expected, rtol=1e-11, atol=1e-13, err_msg=name)
         for mine, theirs in zip(one.bodies, other.bodies, strict=True):
             np.testing.assert_allclose(mine.force, theirs.force, rtol=1e-11, atol=1e-13)
             np.testing.assert_allclose(mine.moment, theirs.moment, rtol=1e-11, atol=1e-13)
-    assert wet > 300
+    assert immersed > 300
 
 
 def test_both_schemes_see_the_same():
@@ -198,7 +198,7 @@ def test_each_element_counts_once(law, scheme):
     )
     sand, data = Sand(model, law=law, scheme=scheme), mujoco.MjData(model)
     rng = np.random.default_rng(1)
-    wet = set()
+    immersed = set()
     for _ in range(40):
         data.qpos[2] = rng.uniform(-0.06, 0.03)
         data.qpos[3:7] = rng.normal(size=4)
@@ -209,8 +209,8 @@ def test_each_element_counts_once(law, scheme):
         arms = table.point - data.xipos[1]
         assert table.force.sum(0) == pytest.approx(body.force, rel=1e-9, abs=1e-9)
         assert np.cross(arms, table.force).sum(0) == pytest.approx(body.moment, rel=1e-9, abs=1e-9)
-        wet.add(int((table.depth > 0).sum()) % 8)
-    assert len(wet) > 4  # tiles that are full, and not
+        immersed.add(int((table.depth > 0).sum()) % 8)
+    assert len(immersed) > 4  # tiles that are full, and not
 
 
 def test_a_normal_that_is_upright_but_for_rounding():
