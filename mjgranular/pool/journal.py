@@ -91,6 +91,12 @@ class Journal:
             raise self._as_output_error(error) from None
         self.count += len(results)
 
+    def recount(self) -> None:
+        """Count what is in the file: an interrupt may have come between writing and counting."""
+        if self._path is not None:
+            self.close()
+            self.begin()
+
     def close(self) -> None:
         if self._file is not None:
             with suppress(OSError):  # of a full disk, which `keep` has reported

@@ -90,6 +90,7 @@ def map_tasks(
         _follow(pool, tasks, mapped, progress)
     except KeyboardInterrupt as stop:
         mapped.stopped_by = signal_of(stop)
+        journal.recount()
     finally:
         if pool is not None:
             pool.close()

@@ -55,6 +55,22 @@ def test_an_interruption_keeps_what_is_done_and_a_journal_goes_on(tmp_path):
     assert results(mapped) == [1, 2, 3, *range(5, 12)]  # the first three are not computed again
 
 
+def test_an_interrupt_between_writing_and_counting_loses_no_result(tmp_path, monkeypatch):
+    journal = Journal(tmp_path, {}, 3)
+    journal.begin()
+
+    def keep(results):
+        number = journal.count
+        Journal.keep(journal, results)
+        journal.count = number
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(journal, "keep", keep)
+    mapped = map_tasks(operator.add, [0, 1, 2], shared=1, on=HERE, journal=journal)
+    assert (mapped.interrupted, journal.count) == (True, 1)
+    assert results(mapped) == [1]
+
+
 def test_a_journal_of_something_else_says_what_differs(tmp_path):
     journal = Journal(tmp_path, {"of": "sums", "size": 3}, 3)
     journal.keep([(0, {"x": 1})])
