@@ -36,6 +36,7 @@ class Kernel:
 
     def __init__(self, py_func: FunctionType, dispatcher: Any) -> None:
         self.py_func, self.dispatcher = py_func, dispatcher
+        self.targetoptions = getattr(dispatcher, "targetoptions", {})  # numba reads `inline` here
         self._from_python: Any = None
 
     def __call__(self, *args: Any) -> Any:
@@ -49,7 +50,7 @@ def _type_of(kernel: Kernel, context: Any) -> Any:
     return types.Dispatcher(kernel.dispatcher)
 
 
-def compiled(function: Callable[..., Any], *, inline: bool = False) -> Kernel:
+def compiled(function: Callable[..., Any], *, inline: bool = False, merge: bool = False) -> Kernel:
     """Compile `function` in nopython mode at first use: a kernel, called like `function`.
 
     It may have scalar arithmetic and loops over arrays, without Python objects, exceptions or new
@@ -57,7 +58,8 @@ def compiled(function: Callable[..., Any], *, inline: bool = False) -> Kernel:
     cached on disk (`entry`, `program_address`).
 
     `inline` is for small functions in loops over elements, and for those that pass on many numbers;
-    more of it costs compile time.
+    more of it costs compile time. `merge` is for a large function with one caller: it is compiled
+    as a part of that, which takes less time.
     """
     made_of = names_in_closure(function)
     # numba names machine code by this and by a counter that starts over in every process: without
@@ -76,6 +78,8 @@ def compiled(function: Callable[..., Any], *, inline: bool = False) -> Kernel:
     # waits for the compiling thread, neither would end.
     bare.__module__ = __name__
     only_from_kernels: dict[str, Any] = {"forceinline": inline, "no_cpython_wrapper": True}
+    if merge:
+        only_from_kernels["inline"] = "always"
     return Kernel(bare, njit(bare, **_OPTIONS, **only_from_kernels))
 
 
@@ -191,10 +195,11 @@ _CALLS: Any = (
 
 
 def _call_of(kernel: Any) -> Any:
-    """Make a function that calls a kernel and has its name."""
+    """Make a function that calls a kernel, merged into it, and has its name."""
     function = kernel.py_func
     call = _CALLS[function.__code__.co_argcount - 1]
-    made = FunctionType(call.__code__, {"kernel": kernel}, function.__name__)
+    merged = njit(function, inline="always", **_OPTIONS)
+    made = FunctionType(call.__code__, {"kernel": merged}, function.__name__)
     made.__qualname__ = f"{function.__qualname__}.call"
     made.__module__ = __name__
     return made

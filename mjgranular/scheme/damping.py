@@ -25,7 +25,7 @@ last two. Chosen; steps in MuJoCo Warp are alike with 1 and 10. Never negative (
 that increases the error of a box sliding to a stop by half."""
 
 
-@compiled
+@partial(compiled, merge=True)
 def damp(table, w, eps, steps):
     """Iterate from `w.velocity`; end at a velocity where damping balances the momenta.
 

@@ -153,7 +153,7 @@ def evaluate(table, w, task, eps, update, loose):
     return error, max(mismatch, of_losses)
 
 
-@compiled
+@partial(compiled, merge=True)
 def evaluate_last(table, w, eps):
     """Set residual and Jacobian at `w.velocity`, with forces linearized at the motions in `w`.
 

@@ -9,6 +9,7 @@ them is used with
 """
 
 import math
+from functools import partial
 
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.engine import forward_constraint, solve_inertia
@@ -22,7 +23,7 @@ _TRUSTED = 1e-8  # largest residual that still bounds the energy
 _ROUNDING = 1e-15  # of a share
 
 
-@compiled
+@partial(compiled, merge=True)
 def passive_share(w, error):
     """Return the largest share of the sand's momentum that adds no energy; 1 if all of it does not.
 
@@ -58,7 +59,7 @@ def passive_share(w, error):
     return 0.0
 
 
-@compiled
+@partial(compiled, merge=True)
 def expected_work(w):
     """Return an upper bound on the sand's work with the step's final velocity [J].
 

@@ -15,6 +15,7 @@ Newton's method finds nearly all velocities. Where it diverges, forces are treat
 """
 
 import math
+from functools import partial
 
 import numpy as np
 
@@ -54,7 +55,7 @@ _STEPS_NEAR, _STEPS, _STEPS_SOFT, _STEPS_FROM_NEAR = (np.int64(n) for n in (8, 4
 _STEPS_DAMPED = np.int64(8)
 
 
-@compiled
+@partial(compiled, merge=True)
 def find_velocity(table, w):
     """Solve for `w.velocity` at the end of the step; return evaluations and relative residual."""
     velocity = w.velocity
