@@ -12,8 +12,8 @@ import numpy as np
 
 from mjgranular.calibrate.material import Material
 from mjgranular.calibrate.motion import Motion
-from mjgranular.calibrate.runs import MeasuredRun, load_machine
-from mjgranular.errors import GranularWarning, UnstableError
+from mjgranular.calibrate.runs import Run, load_machine
+from mjgranular.errors import GranularWarning, InputError, UnstableError, shown
 from mjgranular.kernel.compiled import entry
 from mjgranular.law import Law
 from mjgranular.medium import Medium, get_medium
@@ -157,7 +157,7 @@ def _changed(before: Material, after: Material) -> frozenset[str]:
 
 
 def simulate(
-    run: MeasuredRun,
+    run: Run,
     medium: Medium | str,
     law: Law | str | None = None,
     *,
@@ -176,9 +176,11 @@ def simulate(
         timestep: time step of a drop [s].
 
     Raises:
-        InputError: the law has no elements for such a body.
+        InputError: the law has no elements for such a body, or the run is of a model.
         UnknownNameError: no such law or medium.
     """
+    if run.kind == "model":
+        raise InputError(f"run {shown(run.name)}: a run of a model can only be fitted")
     material = Material.of(get_medium(medium), law)
     way = way_of(run, material.law)
     simulator = simulator_of(run, way, timestep=timestep)
@@ -186,14 +188,14 @@ def simulate(
     return MOVES[way](run, simulator)
 
 
-def way_of(run: MeasuredRun, law: Law) -> str:
+def way_of(run: Run, law: Law) -> str:
     """Return how a run is simulated, a key of `MOVES`."""
     if run.kind == "intrude" and law.adds_mass:
         return "push"
     return run.kind if run.kind in ("drop", "sink", "walk") else "place"
 
 
-def simulator_of(run: MeasuredRun, way: str, *, timestep: float = TIMESTEP) -> Simulator:
+def simulator_of(run: Run, way: str, *, timestep: float = TIMESTEP) -> Simulator:
     """Return a simulator for a measured run, of a way of `way_of`."""
     spec = load_machine(run.body) if isinstance(run.body, Path) else run.body.spec()
     hinges = [joint for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_HINGE]
@@ -221,9 +223,9 @@ def simulator_of(run: MeasuredRun, way: str, *, timestep: float = TIMESTEP) -> S
     return Simulator(spec.compile(), chosen, bodies)
 
 
-def _drop(run: MeasuredRun, simulator: Simulator) -> Motion:
+def _drop(run: Run, simulator: Simulator) -> Motion:
     time, depth = run.motion.time, run.motion.depth
-    body, q = run.body, math.radians(run.angle)
+    body, q = run.body, run.angle
     assert time is not None
     assert isinstance(body, Projectile)
     start = np.array(body.touching(q), float)
@@ -273,7 +275,7 @@ def lowest_depth(body: Projectile, qpos: np.ndarray) -> float:
     return -(float(qpos[1]) + below)
 
 
-def _push(run: MeasuredRun, simulator: Simulator) -> Motion:
+def _push(run: Run, simulator: Simulator) -> Motion:
     """Push at constant speed, with the sand's inertia: mean forces between rows.
 
     The body is heavy and is put back on its path after each step; the force is the momentum that
@@ -282,7 +284,7 @@ def _push(run: MeasuredRun, simulator: Simulator) -> Motion:
     data, timestep = simulator.data, simulator.model.opt.timestep
     gravity = -float(simulator.model.opt.gravity[2])
     assert isinstance(run.body, Projectile)
-    place = run.body.touching(math.radians(run.angle))
+    place = run.body.touching(run.angle)
 
     def force_at(depth: float) -> float:
         data.qpos[:], data.qvel[:], data.qacc_warmstart[:] = place, (0.0, -run.speed, 0.0), 0.0
@@ -299,12 +301,12 @@ def _push(run: MeasuredRun, simulator: Simulator) -> Motion:
     return Motion(depth=depths, speed=np.full(len(depths), run.speed), force=np.array(force))
 
 
-def place(run: MeasuredRun, simulator: Simulator) -> Motion:
+def place(run: Run, simulator: Simulator) -> Motion:
     """Return the forces on a body at the pose and velocity of each row."""
     model, data, rows = simulator.model, simulator.data, _rows(run)
     pose = model.qpos0
     if not isinstance(run.body, Path):
-        pose = run.body.touching(math.radians(run.angle))
+        pose = run.body.touching(run.angle)
     forces = []
     for row in rows:
         data.qpos[:], data.qvel[:] = pose, 0.0
@@ -323,7 +325,7 @@ def place(run: MeasuredRun, simulator: Simulator) -> Motion:
     return replace(run.motion, force=x if run.kind == "turn" else -x, side=side, lift=z)
 
 
-def _sink(run: MeasuredRun, simulator: Simulator) -> Motion:
+def _sink(run: Run, simulator: Simulator) -> Motion:
     """Drive a wheel under its load: final depth, and mean forces before.
 
     It is heavy in the prescribed directions, and is put back to its speed after each step; the
@@ -348,7 +350,7 @@ def _sink(run: MeasuredRun, simulator: Simulator) -> Motion:
     return replace(run.motion, depth=depth, force=force[:, 0], side=force[:, 1])
 
 
-def _walk(run: MeasuredRun, simulator: Simulator) -> Motion:
+def _walk(run: Run, simulator: Simulator) -> Motion:
     """Walk with legs at a constant rate: mean speed along x over full turns."""
     model, data = simulator.model, simulator.data
     hinges = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE)
@@ -367,7 +369,7 @@ def _walk(run: MeasuredRun, simulator: Simulator) -> Motion:
     return replace(run.motion, speed=np.array(speeds))
 
 
-MOVES: dict[str, Callable[[MeasuredRun, Simulator], Motion]] = {
+MOVES: dict[str, Callable[[Run, Simulator], Motion]] = {
     "drop": _drop,
     "push": _push,
     "place": place,
@@ -377,7 +379,7 @@ MOVES: dict[str, Callable[[MeasuredRun, Simulator], Motion]] = {
 """How runs are simulated."""
 
 
-def _rows(run: MeasuredRun) -> list[dict[str, float]]:
+def _rows(run: Run) -> list[dict[str, float]]:
     """Return the values of each row, angles in radians; the run's speed if rows have none."""
     columns = {name: value for name, value in vars(run.motion).items() if np.ndim(value) == 1}
     columns.setdefault("speed", np.full(len(run.motion.depth), run.speed))
