@@ -220,9 +220,8 @@ class DropTrial(Trial):
         return found
 
     def errors(self, outcome: Motion, shift: float | None) -> Errors:
-        found = self.predicted(outcome, shift)
-        off = [f - s.values for f, s in zip(found, self.series, strict=True)]
-        measured, predicted = self.arrest, find_arrest(self.since(shift), found[0])
+        off, depth = self.off(outcome, shift), self.predicted(outcome, shift)[0]
+        measured, predicted = self.arrest, find_arrest(self.since(shift), depth)
         return Errors(
             depth=predicted.depth / measured.depth - 1,
             stopping_time=relative(measured.time, predicted.time),

@@ -13,16 +13,17 @@ from mjgranular.calibrate.drops import DropTrial, ModelTrial
 from mjgranular.calibrate.intervals import (
     COLLINEAR,
     WIDE,
-    Information,
     NullDirection,
+    collinear,
+    information_of,
+    null_directions,
     spread_of,
     trades_off,
 )
 from mjgranular.calibrate.material import Material
 from mjgranular.calibrate.motion import Errors
-from mjgranular.calibrate.problem import Problem
 from mjgranular.calibrate.runs import Run
-from mjgranular.calibrate.trial import PushTrial, RowsTrial, Trial
+from mjgranular.calibrate.trial import Problem, PushTrial, RowsTrial, Trial
 from mjgranular.errors import (
     InputError,
     RangeWarning,
@@ -259,10 +260,10 @@ def _result(
     moving = np.concatenate([np.arange(count), count + np.flatnonzero(~held[count:])])
     blocks, size = problem.blocks(), problem.sizes(scale)[moving]
     half, correlation = spread_of(jacobian[:, moving], residual, blocks, problem.runs(), size)
-    information = Information.of(jacobian, scale)
+    information = information_of(jacobian, scale)
     relative = half[:count] / scale
     one_speed = trades_off(problem.trials, material, names)
-    flat = (information.collinear() >= COLLINEAR) | one_speed
+    flat = (collinear(information) >= COLLINEAR) | one_speed
     good = ~flat & (relative <= WIDE)
     runs, held_out, curves = {}, {}, {}
     for name, trial in trials.items():
@@ -289,7 +290,7 @@ def _result(
         },
         identifiable={name: bool(good[k]) for k, name in enumerate(names)},
         at_bound=tuple(name for k, name in enumerate(names) if held[k]),
-        valleys=information.null_directions(names, one_speed) if flat.any() else (),
+        valleys=null_directions(information, names, one_speed) if flat.any() else (),
         runs=runs,
         held_out=held_out,
         curves=curves,

@@ -15,6 +15,7 @@ from mjgranular._util.io import place
 from mjgranular.calibrate.motion import Motion
 from mjgranular.calibrate.table import read_table
 from mjgranular.errors import InputError, UnknownNameError, shown
+from mjgranular.experiment.drop import loading
 from mjgranular.medium import Medium
 from mjgranular.models import Projectile
 from mjgranular.models.projectile import Shape
@@ -218,8 +219,8 @@ class Run:
             if column not in data:
                 raise self._error(f"it has no column {column!r}; needed: {', '.join(needed)}")
         found = {k: np.asarray(v, float) for k, v in data.items() if k in needed + optional}
-        shapes = {values.shape for values in found.values()}
-        if len(shapes) != 1 or len(next(iter(shapes))) != 1:
+        shape = found[needed[0]].shape
+        if len(shape) != 1 or any(values.shape != shape for values in found.values()):
             raise self._error("all columns must have the same length")
         if not all(np.isfinite(values).all() for values in found.values()):
             raise self._error("all columns must be finite numbers")
@@ -307,7 +308,5 @@ def motion_of(columns: dict[str, np.ndarray], depth: float | None, **others: Any
 
 def load_machine(file: Path) -> mujoco.MjSpec:
     """Load a body from its MJCF file."""
-    try:
+    with loading(place(file)):
         return mujoco.MjSpec.from_file(str(file))
-    except ValueError as error:
-        raise InputError(f"{place(file)} is not a model: {error}") from None

@@ -36,8 +36,6 @@ _HEAVY_BODY = 1e4  # mass or inertia of a body that keeps its speed [kg, kg m^2]
 _SETTLES = 0.01  # sinking speed of a wheel of given sinkage, in parts of its speed; chosen
 _ROLLED, _ROLL_STEP = 0.2, 1e-2  # path [m] and step [s]; halving either changes 3 % at most
 _WALK_STEP, _CYCLES = 1e-3, 2  # [s]; turns to become steady, and then to average
-
-
 _STILL = 1e-6  # largest velocity at which a body counts as at rest [m/s], [rad/s]; chosen
 _CHECK_EVERY = 8  # steps between two checks for rest
 
@@ -66,20 +64,20 @@ class Simulator:
         self._harmless: set[frozenset[str]] = set()  # constants that elements do not depend on
 
     def use(self, material: Material) -> None:
-        before = self._material
-        if before is None or type(before.law) is not type(material.law):
-            self._bind(self._prepare(material), material)
-            return
-        now = self._prepared
-        same_kernel = material.law.kernel(now.surface) is now.kernel
-        changed = _changed(before, material)
-        if not (same_kernel and changed in self._harmless):
+        law, before, changed = material.law, self._material, None
+        if (
+            before is not None
+            and type(before.law) is type(law)
+            and law.kernel(self._prepared.surface) is self._prepared.kernel
+        ):
+            changed = _changed(before, material)
+        if changed not in self._harmless:
             prepared = self._prepare(material)
-            if not (same_kernel and np.array_equal(prepared.elements, now.elements)):
+            if changed is None or not np.array_equal(prepared.elements, self._prepared.elements):
                 self._bind(prepared, material)
                 return
             self._harmless.add(changed)
-        now.scene["law"][:] = material.law.parameters(material.medium)
+        self._prepared.scene["law"][:] = law.parameters(material.medium)
 
     def _prepare(self, material: Material) -> PreparedSand:
         law, medium = material.law, material.medium
@@ -181,22 +179,24 @@ def simulate(
     """
     if run.kind == "model":
         raise InputError(f"run {shown(run.name)}: a run of a model can only be fitted")
-    material = Material.of(get_medium(medium), law)
-    way = way_of(run, material.law)
-    simulator = simulator_of(run, way, timestep=timestep)
-    simulator.use(material)
-    return MOVES[way](run, simulator)
+    return simulate_with(run, Material.of(get_medium(medium), law), {}, timestep=timestep)
 
 
-def way_of(run: Run, law: Law) -> str:
-    """Return how a run is simulated, a key of `MOVES`."""
-    if run.kind == "intrude" and law.adds_mass:
-        return "push"
-    return run.kind if run.kind in ("drop", "sink", "walk") else "place"
+def simulate_with(
+    run: Run, material: Material, simulators: dict[str, Simulator], *, timestep: float = TIMESTEP
+) -> Motion:
+    """Simulate a run with a simulator among those of the run, to which a missing one is added."""
+    way = run.kind if run.kind in ("drop", "sink", "walk") else "place"
+    if run.kind == "intrude" and material.law.adds_mass:
+        way = "push"
+    if way not in simulators:
+        simulators[way] = simulator_of(run, way, timestep=timestep)
+    simulators[way].use(material)
+    return _MOVES[way](run, simulators[way])
 
 
 def simulator_of(run: Run, way: str, *, timestep: float = TIMESTEP) -> Simulator:
-    """Return a simulator for a measured run, of a way of `way_of`."""
+    """Return a simulator for a measured run, of a way of `_MOVES`."""
     spec = load_machine(run.body) if isinstance(run.body, Path) else run.body.spec()
     hinges = [joint for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_HINGE]
     chosen: Scheme | str = "implicit"
@@ -219,8 +219,7 @@ def simulator_of(run: Run, way: str, *, timestep: float = TIMESTEP) -> Simulator
                 joint.armature = _HEAVY_BODY
     else:
         chosen = Explicit(prescribed=True)
-    bodies = None if isinstance(run.body, Path) else ("link",)
-    return Simulator(spec.compile(), chosen, bodies)
+    return Simulator(spec.compile(), chosen, None if isinstance(run.body, Path) else ("link",))
 
 
 def _drop(run: Run, simulator: Simulator) -> Motion:
@@ -233,7 +232,6 @@ def _drop(run: Run, simulator: Simulator) -> Motion:
     simulator.reset(start, np.array(body.moving(q, run.speed, 0.0, 0.0)))
     gravity = float(np.linalg.norm(simulator.model.opt.gravity))
     timestep = simulator.model.opt.timestep
-
     every = max(1, round(_SAMPLES / timestep))
     last = time[-1] - time[0]
     rows = [(0.0, *_sample(body, simulator.data))]
@@ -369,7 +367,7 @@ def _walk(run: Run, simulator: Simulator) -> Motion:
     return replace(run.motion, speed=np.array(speeds))
 
 
-MOVES: dict[str, Callable[[Run, Simulator], Motion]] = {
+_MOVES: dict[str, Callable[[Run, Simulator], Motion]] = {
     "drop": _drop,
     "push": _push,
     "place": place,

@@ -3,7 +3,7 @@
 import csv
 import io
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -72,55 +72,51 @@ def read_table(
         )
     if len(rows) == 1:
         raise InputError(f"{name} has headings and no row of numbers")
-    found = {}
-    for column in known:
-        index = _find(headings, column, columns.get(column), name)
-        if index is not None:
-            found[column] = index
-        elif column in needed:
+    places = {column: _find(headings, column, columns.get(column), name) for column in known}
+    for column in needed:
+        if places[column] is None:
             raise InputError(
                 f"{name} has no column {column!r}: it has {listed(headings)}; name the one that is "
                 f"meant with columns: {{{column}: HEADING}}"
             )
     return {
-        column: _factor(headings[index], column, name)
-        * np.array([_number(row, index, line, name) for line, row in rows[1:]])
-        for column, index in found.items()
+        column: at[1] * np.array([_number(row, at[0], line, name) for line, row in rows[1:]])
+        for column, at in places.items()
+        if at is not None
     }
 
 
-def _find(headings: list[str], column: str, called: str | None, name: str) -> int | None:
+def _find(
+    headings: list[str], column: str, called: str | None, name: str
+) -> tuple[int, float] | None:
+    """Return the place of a column among the headings, and the factor of its unit."""
     if called is not None and called not in headings:
         raise InputError(f"{name} has no column {shown(called)}: it has {listed(headings)}")
-    plain = headings if called else [_split(heading, column)[0] for heading in headings]
-    chosen = called or next((known for known in _HEADINGS[column][0] if known in plain), None)
+    names, units = _HEADINGS[column]
+    factors = {unit.lower(): factor for unit, factor in units.items()}
+    parts = [_split(heading.lower(), factors) for heading in headings]
+    plain = headings if called else [stem for stem, _ in parts]
+    chosen = called or next((known for known in names if known in plain), None)
     if chosen is None:
         return None
     if plain.count(chosen) > 1:
         raise InputError(f"{name} has {plain.count(chosen)} columns {shown(chosen)}: rename one")
-    return plain.index(chosen)
-
-
-def _split(heading: str, column: str) -> tuple[str, str | None]:
-    """Return the name and unit of a heading, both in lower case; None for no unit."""
-    text = heading.lower()
-    bracket = re.fullmatch(r"(.*?)\s*[\[(]\s*(.*?)\s*[\])]", text)
-    if bracket:
-        return bracket[1].strip(), bracket[2]
-    stem, _, tail = text.rpartition("_")
-    if stem and tail in map(str.lower, _HEADINGS[column][1]):
-        return stem, tail
-    return text, None
-
-
-def _factor(heading: str, column: str, name: str) -> float:
-    unit, units = _split(heading, column)[1], _HEADINGS[column][1]
-    factors = {known.lower(): factor for known, factor in units.items()}
+    index = plain.index(chosen)
+    unit = parts[index][1]
     if unit is not None and unit not in factors:
         raise InputError(
-            f"{name}: {shown(heading)} must be in one of {listed(units)}, got {shown(unit)}"
+            f"{name}: {shown(headings[index])} must be in one of {listed(units)}, got {shown(unit)}"
         )
-    return 1.0 if unit is None else factors[unit]
+    return index, 1.0 if unit is None else factors[unit]
+
+
+def _split(heading: str, units: Collection[str]) -> tuple[str, str | None]:
+    """Return the name and unit of a heading; None for no unit."""
+    bracket = re.fullmatch(r"(.*?)\s*[\[(]\s*(.*?)\s*[\])]", heading)
+    if bracket:
+        return bracket[1].strip(), bracket[2]
+    stem, _, tail = heading.rpartition("_")
+    return (stem, tail) if stem and tail in units else (heading, None)
 
 
 def _number(row: list[str], index: int, line: int, name: str) -> float:
