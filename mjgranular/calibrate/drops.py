@@ -13,6 +13,7 @@ from mjgranular.calibrate.simulate import Simulator, lowest_depth
 from mjgranular.calibrate.trial import Series, Trial
 from mjgranular.errors import InputError, shown
 from mjgranular.experiment.drop import Drop, load, start_from
+from mjgranular.models import Projectile
 from mjgranular.sand.chosen import geoms_in_sand
 from mjgranular.sand.spec import SandSpec
 from mjgranular.scheme import Implicit
@@ -134,6 +135,7 @@ class DropTrial(Trial):
         self._speed = run.speed
         self.speeds = (self._speed,)
         time, depth, pitch = run.motion.time, run.motion.depth, run.motion.pitch
+        assert time is not None
         if len(time) < 4:
             raise InputError(f"{self._where}: a trajectory needs at least 4 rows, got {len(time)}")
         if depth.max() <= 0:
@@ -147,8 +149,8 @@ class DropTrial(Trial):
                 f"{self._where}: the body ends {-depth[-1]:.4g} m above the sand: "
                 "depths are positive downward"
             )
-        if self._speed > 0 or run.body is not None:
-            size = math.inf if run.body is None else run.body.reach
+        if self._speed > 0 or falls:
+            size = run.body.reach if isinstance(run.body, Projectile) else math.inf
             check_units(time, depth, self._speed, size, self._where)
         self.touch = find_touch(time, depth, self._speed) if falls else float(time[0])
         since = time - self.touch

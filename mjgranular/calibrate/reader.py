@@ -142,7 +142,7 @@ def _scored_run(entry: dict[str, Any], where: str, path: Path, *, about: dict[st
     if kind not in _SCORED_KINDS:
         raise UnknownNameError("kind of run", kind, _SCORED_KINDS)
     check_mapping(entry, where, _SCORED_KEYS)
-    values = {"speed": 0.0} | _common(entry, where, path)
+    values: dict[str, Any] = {"speed": 0.0} | _common(entry, where, path)
     table = read_table(path.parent / entry["data"], *COLUMNS[kind], _columns(entry, where))
     motion = motion_of(table, values.get("depth"), to_the_stop=name in about["to_the_stop"])
     above = -motion.depth[0]

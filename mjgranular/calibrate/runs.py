@@ -119,7 +119,7 @@ class Run:
             and depth.
         data: a CSV file, or the columns by their names, in SI units and degrees. It is read into
             `motion`.
-        body: the body that meets the sand: a shape, or an MJCF file; not for "model".
+        body: the body that meets the sand: a shape, or an MJCF file; for "model" it is `model`.
         speed: downward, when the lowest point touches the sand, or of a push, by default
             0.01 m/s [m/s]; of a turn [rad/s].
         angle: initial angle of the body's axis from the vertical [rad].
@@ -142,7 +142,7 @@ class Run:
     kind: Kind
     data: InitVar[Path | Mapping[str, Any] | None] = None
     _: KW_ONLY
-    body: Projectile | Path | None = None
+    body: Projectile | Path = None  # pyright: ignore[reportAssignmentType] - of a model, its file
     speed: float = None  # pyright: ignore[reportAssignmentType] - by the kind
     angle: float = 0.0
     depth: float | None = None
@@ -188,6 +188,7 @@ class Run:
                     "a run of a model needs model, an MJCF file, and model_body, the name of the "
                     "body that was measured"
                 )
+            object.__setattr__(self, "body", self.model)
         elif self.body is None:
             raise self._error(
                 f"a {self.kind} needs a body, such as {{shape: sphere, diameter: 0.0254}}"
@@ -247,8 +248,7 @@ class Run:
     @property
     def shape(self) -> str:
         """Shape of the body, or the name of its MJCF file."""
-        file = self.model if self.body is None else self.body
-        return file.shape if isinstance(file, Projectile) else file.name
+        return self.body.shape if isinstance(self.body, Projectile) else self.body.name
 
     @cached_property
     def width(self) -> float:

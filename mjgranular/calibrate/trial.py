@@ -4,6 +4,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from mjgranular.calibrate.motion import Errors, Motion, compare, rms
 from mjgranular.calibrate.runs import Run
 from mjgranular.calibrate.simulate import Simulator, place, simulate_with, simulator_of
 from mjgranular.errors import InputError, UnstableError, shown
+from mjgranular.models import Projectile
 
 _FAR = 10.0  # residual of a run that diverged: ten times what was measured
 _FINE = 1e-3  # relative step of a difference; chosen: the error of central ones is its square
@@ -45,7 +47,7 @@ class Trial(ABC):
 
     carries = 2  # largest number of constants that such a curve can determine; chosen
 
-    run: Run
+    run: Any  # a `Run`
     series: tuple[Series, ...]
     axis: str
     places: np.ndarray
@@ -118,16 +120,17 @@ class PushTrial(RowsTrial):
     def __init__(self, run: Run) -> None:
         inside = _rows_of_push(run)
         names = ("depth", "force", "lift", "speed") if run.kind == "drag" else ("depth", "force")
-        rows = {name: getattr(run.motion, name) for name in names}
-        motion = Motion(**{k: None if v is None else v[inside] for k, v in rows.items()})
-        super().__init__(replace(run, motion=motion))
+        columns = {name: getattr(run.motion, name) for name in names}
+        rows: dict[str, Any] = {k: v if v is None else v[inside] for k, v in columns.items()}
+        super().__init__(replace(run, motion=Motion(**rows)))
         places = np.unique(self.places)
         if self.axis == "depth" and len(self.places) > _POINTS:
             places = np.linspace(places[0], places[-1], _POINTS)
         none = np.zeros(len(places))  # forces that are not used
         motion = Motion(depth=places, force=none)
         if self.axis == "speed":
-            motion = Motion(depth=none + run.depth, speed=places, force=none)
+            depth = np.full(len(places), run.depth)
+            motion = Motion(depth=depth, speed=places, force=none)
         self._simulated = replace(run, motion=motion)
         self._simulator = simulator_of(self._simulated, "place")
 
@@ -142,14 +145,16 @@ class PushTrial(RowsTrial):
         off, force = self.off(outcome, shift), self.series[0]
         return Errors(
             trajectory=rms(np.linalg.norm(off, axis=0)) / force.scale,
-            force=float(outcome.force.mean() / force.values.mean() - 1),
+            force=float(self.predicted(outcome, shift)[0].mean() / force.values.mean() - 1),
         )
 
 
 def _rows_of_push(run: Run) -> np.ndarray:
     """Return which rows of a push or drag are in the sand, after checks of units and signs."""
+    force, along = run.motion.force, getattr(run.motion, _SERIES[run.kind][0])
+    assert isinstance(run.body, Projectile)
+    assert force is not None
     where, size = f"run {shown(run.name)}", run.body.reach
-    along = getattr(run.motion, _SERIES[run.kind][0])
     deepest, inside = run.depth or run.motion.depth.max(), along > 0
     if deepest > _DEEPEST * size:
         raise InputError(
@@ -164,7 +169,7 @@ def _rows_of_push(run: Run) -> np.ndarray:
         raise InputError(
             f"{where}: 2 or more rows must be in the sand, got {count}; {what} there are positive"
         )
-    mean = run.motion.force[inside].mean()
+    mean = force[inside].mean()
     if mean <= 0:
         raise InputError(
             f"{where}: the mean force against the motion must be positive, got {mean:.3g} N"

@@ -20,8 +20,6 @@ from mjgranular.render import Tracks
 
 _NPZ = "trajectory.npz"
 RUN_FILES = (CONFIG, SUMMARY, _NPZ)
-
-
 _DROP_ARRAYS = ("t", "qpos", "qvel", "depth", "point", "force", "power")
 
 
