@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from mjgranular import Law
-from mjgranular.calibrate import Errors, MeasuredRun, Motion, RunSet
+from mjgranular.calibrate import Errors, Motion, Run, RunSet
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Comparison:
     """A run with a law; no errors if the law has no elements for the body."""
 
     runs: RunSet
-    run: MeasuredRun
+    run: Run
     candidate: Candidate
     motion: Motion | None
     errors: Errors | None

@@ -11,7 +11,7 @@ from quantities import NOT_MEASURED
 if TYPE_CHECKING:
     from comparison import Comparison
 
-    from mjgranular.calibrate import MeasuredRun
+    from mjgranular.calibrate import Run
 
 _GUIDED = ("intrude", "drag")
 
@@ -19,11 +19,11 @@ SLOW, SLOW_SPHERE = 0.4, 2.5  # largest Froude number of a slow push or drag, an
 THIN = 5  # grains across a rod; all three chosen
 
 
-def _is_sphere(run: MeasuredRun) -> bool:
+def _is_sphere(run: Run) -> bool:
     return run.kind == "drop" and run.shape == "sphere"
 
 
-MOTIONS: dict[str, Callable[[MeasuredRun, float], bool]] = {
+MOTIONS: dict[str, Callable[[Run, float], bool]] = {
     "slow pushes and drags": lambda r, g: r.kind in _GUIDED and r.froude <= SLOW,
     "fast drags": lambda r, g: r.kind in _GUIDED and r.froude > SLOW,
     "turning legs": lambda r, g: r.kind == "turn",

@@ -29,7 +29,7 @@ from mjgranular import (
     Rft2dLaw,
     Rft3dLaw,
 )
-from mjgranular.calibrate import MeasuredRun, RunSet, compare, read_runs, simulate
+from mjgranular.calibrate import Run, RunSet, compare, read_runs, simulate
 from mjgranular.errors import GranularError
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -142,7 +142,7 @@ def _resistive(
     return found
 
 
-def _slow_push(runs: RunSet) -> MeasuredRun | None:
+def _slow_push(runs: RunSet) -> Run | None:
     """Return the slowest push of a level plate, to fit constants to."""
     pushes = [r for r in runs.runs if r.kind == "intrude" and r.mark == "fitted to"]
     return min(pushes, key=lambda run: run.speed, default=None)
@@ -185,7 +185,7 @@ def hold(runs: RunSet) -> list[Comparison]:
     return found
 
 
-def _foreign(run: MeasuredRun, candidate: Candidate) -> bool:
+def _foreign(run: Run, candidate: Candidate) -> bool:
     """Return True if the law is for other bodies: rods, or the one sphere that it was fitted to."""
     if candidate.name in ("link", "link_distributed"):
         return run.shape not in ("link", "capsule")

@@ -9,18 +9,21 @@ import numpy as np
 
 from mjgranular._util.checks import check_kind
 from mjgranular._util.extras import require
+from mjgranular.calibrate.drops import DropTrial, ModelTrial
 from mjgranular.calibrate.intervals import (
     COLLINEAR,
     WIDE,
-    Information,
     NullDirection,
+    collinear,
+    information_of,
+    null_directions,
     spread_of,
     trades_off,
 )
 from mjgranular.calibrate.material import Material
 from mjgranular.calibrate.motion import Errors
-from mjgranular.calibrate.runs import Body, MeasuredRun, Run
-from mjgranular.calibrate.trial import DropTrial, ModelTrial, Problem, PushTrial, RowsTrial, Trial
+from mjgranular.calibrate.runs import Run
+from mjgranular.calibrate.trial import Problem, PushTrial, RowsTrial, Trial
 from mjgranular.errors import (
     InputError,
     RangeWarning,
@@ -31,6 +34,7 @@ from mjgranular.errors import (
 )
 from mjgranular.law import Law
 from mjgranular.medium import Medium, get_medium
+from mjgranular.models import Projectile
 
 _SCAN = tuple(10.0**k for k in range(-3, 4))  # starts that are tried if none is given
 _MOST_ROUNDS = 40
@@ -44,7 +48,7 @@ class Fit:
     """Runs, medium, law and free constants of a fit.
 
     Attributes:
-        runs: the runs, with different names; a `MeasuredRun` is not a drop.
+        runs: the runs, with different names.
         medium: a medium, its name, or a YAML file. Its constants are the start of the fit.
         law: a law, or its name, optionally with parameters; None for the medium's default.
         free: names of the constants to fit.
@@ -56,22 +60,21 @@ class Fit:
         InputError: no run to fit, two of the same name, or a start that lies on a bound.
     """
 
-    runs: tuple[Run | MeasuredRun, ...]
+    runs: tuple[Run, ...]
     medium: Medium | str | Path
     free: tuple[str, ...]
     law: str | Law | None = None
     hold_out: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        if isinstance(self.runs, Run | MeasuredRun | str | Path) or isinstance(self.free, str):
+        if isinstance(self.runs, Run | str | Path) or isinstance(self.free, str):
             raise InputError(
                 "runs and free are each several, [run, ...] and ['strength']; read_fit reads a file"
             )
         for run in self.runs:
-            if not isinstance(run, MeasuredRun):
-                check_kind(run, Run, "a fit")
-            elif run.kind == "drop":
-                raise InputError(f"run {shown(run.name)}: a drop is given as Run, not MeasuredRun")
+            check_kind(run, Run, "a fit")
+            if run.guided:
+                raise InputError(f"run {shown(run.name)}: a guided body cannot be fitted to")
         names = [run.name for run in self.runs]
         for name in names:
             if names.count(name) > 1:
@@ -198,20 +201,20 @@ def run_fit(fit: Fit, *, progress: Callable[[int], None] | None = None) -> FitRe
     return _result(fit, start, problem, solution.x, trials)
 
 
-def _trial(run: Run | MeasuredRun) -> Trial:
-    if isinstance(run, MeasuredRun):
-        return RowsTrial(run)
-    return {"drop": DropTrial, "model": ModelTrial}.get(run.kind, PushTrial)(run)
+def _trial(run: Run) -> Trial:
+    if run.kind in ("drop", "model"):
+        return DropTrial(run) if run.kind == "drop" else ModelTrial(run)
+    of_rows = isinstance(run.body, Path) or (run.kind == "drag" and run.depth is None)
+    return RowsTrial(run) if of_rows else PushTrial(run)
 
 
-def _check_bodies(runs: Sequence[Run | MeasuredRun]) -> None:
+def _check_bodies(runs: Sequence[Run]) -> None:
     for run in runs:
-        body = run.body
-        if isinstance(body, Body) and body.is_heavy:
-            density, (low, high) = body.projectile.density, _DENSITIES
+        if isinstance(run.body, Projectile):
+            density, (low, high) = run.body.density, _DENSITIES
             if not low <= density <= high:
                 warn_user(
-                    f"run {shown(run.name)}: the {body.shape} has {density:.3g} kg/m^3: mass is in "
+                    f"run {shown(run.name)}: the {run.shape} has {density:.3g} kg/m^3: mass is in "
                     "kg, diameter and length are in m",
                     RangeWarning,
                 )
@@ -257,10 +260,10 @@ def _result(
     moving = np.concatenate([np.arange(count), count + np.flatnonzero(~held[count:])])
     blocks, size = problem.blocks(), problem.sizes(scale)[moving]
     half, correlation = spread_of(jacobian[:, moving], residual, blocks, problem.runs(), size)
-    information = Information.of(jacobian, scale)
+    information = information_of(jacobian, scale)
     relative = half[:count] / scale
     one_speed = trades_off(problem.trials, material, names)
-    flat = (information.collinear() >= COLLINEAR) | one_speed
+    flat = (collinear(information) >= COLLINEAR) | one_speed
     good = ~flat & (relative <= WIDE)
     runs, held_out, curves = {}, {}, {}
     for name, trial in trials.items():
@@ -287,7 +290,7 @@ def _result(
         },
         identifiable={name: bool(good[k]) for k, name in enumerate(names)},
         at_bound=tuple(name for k, name in enumerate(names) if held[k]),
-        valleys=information.null_directions(names, one_speed) if flat.any() else (),
+        valleys=null_directions(information, names, one_speed) if flat.any() else (),
         runs=runs,
         held_out=held_out,
         curves=curves,

@@ -19,7 +19,6 @@ the interval is at least the spread between runs.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
 
@@ -147,46 +146,42 @@ def trades_off(trials: Sequence[Trial], material: Material, names: Sequence[str]
     return one_speed and any(by_speed) and not all(by_speed)
 
 
-@dataclass(frozen=True)
-class Information:
-    """Information of runs about constants: derivatives for relative changes, touches eliminated."""
+def information_of(jacobian: np.ndarray, scale: np.ndarray) -> np.ndarray:
+    """Return the information of runs about relative changes of constants, touches eliminated.
 
-    matrix: np.ndarray
+    The first columns of the derivatives are those by the constants, of sizes `scale`.
+    """
+    constants = jacobian[:, : len(scale)] * scale
+    touches = jacobian[:, len(scale) :]
+    touches = touches[:, np.abs(touches).max(axis=0, initial=0.0) > 0]
+    if touches.shape[1]:
+        Q, _ = np.linalg.qr(touches)
+        constants = constants - Q @ (Q.T @ constants)
+    return constants.T @ constants
 
-    @classmethod
-    def of(cls, jacobian: np.ndarray, scale: np.ndarray) -> Self:
-        """Return that of a problem's derivatives; the first columns are the constants."""
-        constants = jacobian[:, : len(scale)] * scale
-        touches = jacobian[:, len(scale) :]
-        touches = touches[:, np.abs(touches).max(axis=0, initial=0.0) > 0]
-        if touches.shape[1]:
-            Q, _ = np.linalg.qr(touches)
-            constants = constants - Q @ (Q.T @ constants)
-        return cls(constants.T @ constants)
 
-    @property
-    def inverse(self) -> np.ndarray:
-        """The covariance of the constants up to a factor."""
-        values, vectors = np.linalg.eigh(self.matrix)
-        least = max(values.max(), 1e-300) * SMALLEST**2
-        return (vectors / np.maximum(values, least)) @ vectors.T
+def collinear(information: np.ndarray) -> np.ndarray:
+    """Return the multiple correlation of each constant with the others, shape (constants,)."""
+    values, vectors = np.linalg.eigh(information)
+    least = max(values.max(), 1e-300) * SMALLEST**2
+    covariance = (vectors / np.maximum(values, least)) @ vectors.T
+    own = np.diag(information)
+    square = 1 - 1 / np.maximum(own * np.diag(covariance), 1.0)
+    silent = own <= SMALLEST**2 * max(own.max(), 1e-300)
+    return np.where(silent, 1.0, np.sqrt(np.maximum(square, 0.0)))
 
-    def collinear(self) -> np.ndarray:
-        """Return the multiple correlation of each constant with the others, shape (constants,)."""
-        own = np.diag(self.matrix)
-        square = 1 - 1 / np.maximum(own * np.diag(self.inverse), 1.0)
-        silent = own <= SMALLEST**2 * max(own.max(), 1e-300)
-        return np.where(silent, 1.0, np.sqrt(np.maximum(square, 0.0)))
 
-    def null_directions(self, names: Sequence[str], one_speed: bool) -> tuple[NullDirection, ...]:
-        """Return the flattest direction, and all others that are flat."""
-        values, vectors = np.linalg.eigh(self.matrix)
-        found = []
-        for k, value in enumerate(values):
-            if k > 0 and value > SMALLEST * values.max():
-                break
-            v = vectors[:, k] / vectors[np.argmax(np.abs(vectors[:, k])), k]
-            change = {n: float(c) for n, c in zip(names, v, strict=True) if abs(c) >= _TAKES_PART}
-            effect = 0.1 * float(np.sqrt(max(v @ self.matrix @ v, 0.0)))
-            found.append(NullDirection(change, effect, one_speed))
-        return tuple(found)
+def null_directions(
+    information: np.ndarray, names: Sequence[str], one_speed: bool
+) -> tuple[NullDirection, ...]:
+    """Return the flattest direction, and all others that are flat."""
+    values, vectors = np.linalg.eigh(information)
+    found = []
+    for k, value in enumerate(values):
+        if k > 0 and value > SMALLEST * values.max():
+            break
+        v = vectors[:, k] / vectors[np.argmax(np.abs(vectors[:, k])), k]
+        change = {n: float(c) for n, c in zip(names, v, strict=True) if abs(c) >= _TAKES_PART}
+        effect = 0.1 * float(np.sqrt(max(v @ information @ v, 0.0)))
+        found.append(NullDirection(change, effect, one_speed))
+    return tuple(found)

@@ -26,21 +26,24 @@ def known_medium(
     base; the source of the constants is by default the file.
     """
     where = f"{place(path)}: medium"
-    if isinstance(entry, str):
-        return get_medium(_base(entry, path))
-    base = None
-    if isinstance(entry, dict) and entry.get("base") is not None:
-        base = get_medium(_base(str(entry["base"]), path))
-    kind = _law_class(law, base, where)
+    base, name = None, entry.get("base") if isinstance(entry, dict) else entry
+    if name is not None and isinstance(entry, str | dict):
+        name = str(name)  # a file is next to that of the runs
+        base = get_medium(path.parent / name if name.endswith((".yaml", ".yml")) else name)
+        if isinstance(entry, str):
+            return base
+    if law is not None:
+        kind = type(law) if isinstance(law, Law) else law_in(law)[0]
+    elif base is not None:
+        kind = laws[base.default_law]
+    else:
+        raise InputError(f"{where} has no base whose law could be taken: name the law (--law)")
+    numbers, key = _numbers_of(kind), _table(kind)
     given = _given(entry, kind, where, source or f"given in {path.name}")
-    if base is None and "density" not in given:
-        raise InputError(f"{where} needs the bulk density [kg/m^3]: density, or a base")
-    constants = {} if base is None else {k: dict(v) for k, v in base.constants.items()}
     density = given.get("density") or (base and base.density)
-    assert density is not None
-    key = _table(kind)
+    if density is None:
+        raise InputError(f"{where} needs the bulk density [kg/m^3]: density, or a base")
     own = {} if base is None else _constants_of(kind, base)
-    numbers = _numbers_of(kind)
     own |= {k: q for k, q in given.items() if k in numbers}
     if DENSITY in numbers:
         own.setdefault(DENSITY, density)
@@ -57,7 +60,7 @@ def known_medium(
             density=density,
             grain=given.get("grain") or (base and base.grain),
             default_law=key,
-            constants={**constants, key: own},
+            constants={**(base.constants if base else {}), key: own},
         )
     except InputError as error:
         raise InputError(f"{place(path)}: {error}") from None
@@ -74,21 +77,6 @@ def _given(entry: dict[str, Any], kind: type[Law], where: str, source: str) -> d
         for key in entry
         if key in names
     }
-
-
-def _base(name: str, path: Path) -> str | Path:
-    """Return a medium's name, or the path of its file next to that of the runs."""
-    return path.parent / name if name.endswith((".yaml", ".yml")) else name
-
-
-def _law_class(law: str | Law | None, base: Medium | None, where: str) -> type[Law]:
-    if isinstance(law, Law):
-        return type(law)
-    if law is not None:
-        return law_in(law)[0]
-    if base is None:
-        raise InputError(f"{where} has no base whose law could be taken: name the law (--law)")
-    return laws[base.default_law]
 
 
 def _numbers_of(kind: type[Law]) -> list[str]:

@@ -15,14 +15,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any, get_args
 
-import numpy as np
-
 from mjgranular._util.io import place, read_file
 from mjgranular.calibrate.fit import Fit
 from mjgranular.calibrate.medium import known_medium
-from mjgranular.calibrate.motion import Motion
-from mjgranular.calibrate.runs import COLUMNS, Body, Kind, MeasuredRun, Run, RunSet, read_table
-from mjgranular.calibrate.trial import GRAVITY
+from mjgranular.calibrate.runs import COLUMNS, GRAVITY, Body, Kind, Run, RunSet, motion_of
+from mjgranular.calibrate.table import read_table
 from mjgranular.errors import InputError, UnknownNameError, shown
 from mjgranular.law import Law, Rft3dLaw
 from mjgranular.medium.file import check_mapping, number, read_outline_file
@@ -33,7 +30,8 @@ LARGEST = 1_000_000
 _NUMBERS = ("speed", "depth", "angle", "height")
 _NAMES = ("model_body", "keyframe")
 _RUN_KEYS = ("name", "kind", "data", "body", "columns", "model", *_NUMBERS, *_NAMES)
-_MEASURED_KEYS = ("name", "kind", "data", "body", "columns", "speed", "depth", "angle")
+_SCORED_KEYS = ("name", "kind", "data", "body", "columns", "speed", "depth", "angle")
+_SCORED_KINDS = [kind for kind in get_args(Kind) if kind != "model"]
 _BODY_KEYS = ("shape", "diameter", "length", "mass", "density")
 
 _ABOUT: dict[str, Any] = {"source": "unknown", "marks": {}, "guided": [], "to_the_stop": []}
@@ -86,7 +84,7 @@ def read_runs(folder: str | Path) -> RunSet:
     if isinstance(entry, dict):
         entry = {"name": folder.name, "title": title, **entry}
     medium = known_medium(entry, Rft3dLaw.name, path, source=source)
-    runs = tuple(_runs(content, path, partial(_measured_run, about=about)))
+    runs = tuple(_runs(content, path, partial(_scored_run, about=about)))
     return RunSet(folder.name, title, source, medium, runs)
 
 
@@ -101,8 +99,8 @@ def _content(path: Path, extra: str) -> dict[str, Any]:
 
 
 def _runs(
-    content: dict[str, Any], path: Path, make: Callable[[dict[str, Any], str, Path], Any]
-) -> list[Any]:
+    content: dict[str, Any], path: Path, make: Callable[[dict[str, Any], str, Path], Run]
+) -> list[Run]:
     """Return the runs that `make` builds of the entries of a file, whose keys are checked."""
     found = []
     for k, entry in enumerate(content["runs"]):
@@ -121,65 +119,55 @@ def _runs(
     return found
 
 
-def _run(entry: dict[str, Any], where: str, path: Path) -> Run | MeasuredRun:
-    """Return a run to fit to: a `MeasuredRun` where the body is in a file, but for a model."""
-    if isinstance(entry.get("body"), dict) and "file" in entry["body"]:
-        return _measured_run(entry, where, path, about=_ABOUT)
-    values: dict[str, Any] = _numbers(entry, where)
-    values |= {key: entry[key] for key in _NAMES if entry.get(key) is not None}
-    if "height" in values:
-        height = values.pop("height")
+def _run(entry: dict[str, Any], where: str, path: Path) -> Run:
+    """Return a run to fit to."""
+    values = _common(entry, where, path)
+    height = values.pop("height", None)
+    if height is not None:
         if "speed" in values:
             raise InputError(f"{where}: a drop has a speed at the touch or a height, not both")
         if height < 0:
             raise InputError(f"{where}: the height of a drop must not be negative, got {height} m")
         values["speed"] = math.sqrt(2 * GRAVITY * height)
-    if "angle" in values:
-        values["angle"] = math.radians(values["angle"])
+    values |= {key: entry[key] for key in _NAMES if entry.get(key) is not None}
     if entry.get("model") is not None:
         values["model"] = path.parent / str(entry["model"])
-    body = entry.get("body")
-    if isinstance(body, str) and entry["kind"] == "model":
-        values["model_body"] = body
-    elif body is not None:
-        values["body"] = _body(body, f"{where}.body")
     columns = _columns(entry, where)
     return Run(entry["name"], entry["kind"], path.parent / entry["data"], columns=columns, **values)
 
 
-def _measured_run(
-    entry: dict[str, Any], where: str, path: Path, *, about: dict[str, Any]
-) -> MeasuredRun:
+def _scored_run(entry: dict[str, Any], where: str, path: Path, *, about: dict[str, Any]) -> Run:
+    """Return a run to score laws against, with all columns of its kind."""
     name, kind = entry["name"], entry["kind"]
-    if kind not in get_args(Kind):
-        raise UnknownNameError("kind of run", kind, get_args(Kind))
-    check_mapping(entry, where, _MEASURED_KEYS)
-    numbers = _numbers(entry, where)
-    if entry.get("body") is None:
-        raise InputError(f"{where} needs body, such as {{shape: sphere, diameter: 0.0254}}")
-    if isinstance(entry["body"], dict) and set(entry["body"]) == {"file"}:
-        body = path.parent / str(entry["body"]["file"])
-    else:
-        shape = _body(entry["body"], f"{where}.body")
-        if kind == "drop" and not shape.is_heavy:
-            raise InputError(f"{where}.body: a body that is dropped needs its mass [kg]")
-        body = shape.projectile
-    found: dict[str, Any] = read_table(
-        path.parent / entry["data"], *COLUMNS[kind], _columns(entry, where)
-    )
-    if kind == "drag" and "depth" not in {*found, *numbers}:
-        raise InputError(f"{where}: a drag needs the depth of the body's lowest point [m]")
-    rows = len(next(iter(found.values())))
-    found.setdefault("depth", np.full(rows, numbers.get("depth", math.nan)))
-    return MeasuredRun(
-        name=name,
-        kind=kind,
-        body=body,
-        motion=Motion(**found, to_the_stop=name in about["to_the_stop"]),
-        guided=name in about["guided"],
-        mark=about["marks"].get(name, "seen"),
-        **numbers,
-    )
+    if kind not in _SCORED_KINDS:
+        raise UnknownNameError("kind of run", kind, _SCORED_KINDS)
+    check_mapping(entry, where, _SCORED_KEYS)
+    values: dict[str, Any] = {"speed": 0.0} | _common(entry, where, path)
+    table = read_table(path.parent / entry["data"], *COLUMNS[kind], _columns(entry, where))
+    motion = motion_of(table, values.get("depth"), to_the_stop=name in about["to_the_stop"])
+    above = -motion.depth[0]
+    if kind == "drop" and above > motion.depth.max() / 2:  # chosen
+        raise InputError(
+            f"{where}: it begins {above:.3g} m above the sand, and the speed is that of its "
+            "first row: omit rows before the touch"
+        )
+    guided, mark = name in about["guided"], about["marks"].get(name, "seen")
+    return Run(name, kind, motion=motion, guided=guided, mark=mark, **values)
+
+
+def _common(entry: dict[str, Any], where: str, path: Path) -> dict[str, Any]:
+    """Return the numbers of a run, its angle in radians, and its body."""
+    values: dict[str, Any] = _numbers(entry, where)
+    if "angle" in values:
+        values["angle"] = math.radians(values["angle"])
+    body = entry.get("body")
+    if isinstance(body, str) and entry["kind"] == "model":
+        values["model_body"] = body
+    elif isinstance(body, dict) and set(body) == {"file"}:
+        values["body"] = path.parent / str(body["file"])
+    elif body is not None:
+        values["body"] = _body(body, f"{where}.body")
+    return values
 
 
 def _numbers(entry: dict[str, Any], where: str, keys: Sequence[str] = _NUMBERS) -> dict[str, float]:

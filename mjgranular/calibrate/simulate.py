@@ -12,8 +12,8 @@ import numpy as np
 
 from mjgranular.calibrate.material import Material
 from mjgranular.calibrate.motion import Motion
-from mjgranular.calibrate.runs import MeasuredRun, load_machine
-from mjgranular.errors import GranularWarning, UnstableError
+from mjgranular.calibrate.runs import Run, load_machine
+from mjgranular.errors import GranularWarning, InputError, UnstableError, shown
 from mjgranular.kernel.compiled import entry
 from mjgranular.law import Law
 from mjgranular.medium import Medium, get_medium
@@ -36,8 +36,6 @@ _HEAVY_BODY = 1e4  # mass or inertia of a body that keeps its speed [kg, kg m^2]
 _SETTLES = 0.01  # sinking speed of a wheel of given sinkage, in parts of its speed; chosen
 _ROLLED, _ROLL_STEP = 0.2, 1e-2  # path [m] and step [s]; halving either changes 3 % at most
 _WALK_STEP, _CYCLES = 1e-3, 2  # [s]; turns to become steady, and then to average
-
-
 _STILL = 1e-6  # largest velocity at which a body counts as at rest [m/s], [rad/s]; chosen
 _CHECK_EVERY = 8  # steps between two checks for rest
 
@@ -66,20 +64,20 @@ class Simulator:
         self._harmless: set[frozenset[str]] = set()  # constants that elements do not depend on
 
     def use(self, material: Material) -> None:
-        before = self._material
-        if before is None or type(before.law) is not type(material.law):
-            self._bind(self._prepare(material), material)
-            return
-        now = self._prepared
-        same_kernel = material.law.kernel(now.surface) is now.kernel
-        changed = _changed(before, material)
-        if not (same_kernel and changed in self._harmless):
+        law, before, changed = material.law, self._material, None
+        if (
+            before is not None
+            and type(before.law) is type(law)
+            and law.kernel(self._prepared.surface) is self._prepared.kernel
+        ):
+            changed = _changed(before, material)
+        if changed not in self._harmless:
             prepared = self._prepare(material)
-            if not (same_kernel and np.array_equal(prepared.elements, now.elements)):
+            if changed is None or not np.array_equal(prepared.elements, self._prepared.elements):
                 self._bind(prepared, material)
                 return
             self._harmless.add(changed)
-        now.scene["law"][:] = material.law.parameters(material.medium)
+        self._prepared.scene["law"][:] = law.parameters(material.medium)
 
     def _prepare(self, material: Material) -> PreparedSand:
         law, medium = material.law, material.medium
@@ -157,7 +155,7 @@ def _changed(before: Material, after: Material) -> frozenset[str]:
 
 
 def simulate(
-    run: MeasuredRun,
+    run: Run,
     medium: Medium | str,
     law: Law | str | None = None,
     *,
@@ -176,25 +174,29 @@ def simulate(
         timestep: time step of a drop [s].
 
     Raises:
-        InputError: the law has no elements for such a body.
+        InputError: the law has no elements for such a body, or the run is of a model.
         UnknownNameError: no such law or medium.
     """
-    material = Material.of(get_medium(medium), law)
-    way = way_of(run, material.law)
-    simulator = simulator_of(run, way, timestep=timestep)
-    simulator.use(material)
-    return MOVES[way](run, simulator)
+    if run.kind == "model":
+        raise InputError(f"run {shown(run.name)}: a run of a model can only be fitted")
+    return simulate_with(run, Material.of(get_medium(medium), law), {}, timestep=timestep)
 
 
-def way_of(run: MeasuredRun, law: Law) -> str:
-    """Return how a run is simulated, a key of `MOVES`."""
-    if run.kind == "intrude" and law.adds_mass:
-        return "push"
-    return run.kind if run.kind in ("drop", "sink", "walk") else "place"
+def simulate_with(
+    run: Run, material: Material, simulators: dict[str, Simulator], *, timestep: float = TIMESTEP
+) -> Motion:
+    """Simulate a run with a simulator among those of the run, to which a missing one is added."""
+    way = run.kind if run.kind in ("drop", "sink", "walk") else "place"
+    if run.kind == "intrude" and material.law.adds_mass:
+        way = "push"
+    if way not in simulators:
+        simulators[way] = simulator_of(run, way, timestep=timestep)
+    simulators[way].use(material)
+    return _MOVES[way](run, simulators[way])
 
 
-def simulator_of(run: MeasuredRun, way: str, *, timestep: float = TIMESTEP) -> Simulator:
-    """Return a simulator for a measured run, of a way of `way_of`."""
+def simulator_of(run: Run, way: str, *, timestep: float = TIMESTEP) -> Simulator:
+    """Return a simulator for a measured run, of a way of `_MOVES`."""
     spec = load_machine(run.body) if isinstance(run.body, Path) else run.body.spec()
     hinges = [joint for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_HINGE]
     chosen: Scheme | str = "implicit"
@@ -217,13 +219,12 @@ def simulator_of(run: MeasuredRun, way: str, *, timestep: float = TIMESTEP) -> S
                 joint.armature = _HEAVY_BODY
     else:
         chosen = Explicit(prescribed=True)
-    bodies = None if isinstance(run.body, Path) else ("link",)
-    return Simulator(spec.compile(), chosen, bodies)
+    return Simulator(spec.compile(), chosen, None if isinstance(run.body, Path) else ("link",))
 
 
-def _drop(run: MeasuredRun, simulator: Simulator) -> Motion:
+def _drop(run: Run, simulator: Simulator) -> Motion:
     time, depth = run.motion.time, run.motion.depth
-    body, q = run.body, math.radians(run.angle)
+    body, q = run.body, run.angle
     assert time is not None
     assert isinstance(body, Projectile)
     start = np.array(body.touching(q), float)
@@ -231,7 +232,6 @@ def _drop(run: MeasuredRun, simulator: Simulator) -> Motion:
     simulator.reset(start, np.array(body.moving(q, run.speed, 0.0, 0.0)))
     gravity = float(np.linalg.norm(simulator.model.opt.gravity))
     timestep = simulator.model.opt.timestep
-
     every = max(1, round(_SAMPLES / timestep))
     last = time[-1] - time[0]
     rows = [(0.0, *_sample(body, simulator.data))]
@@ -273,7 +273,7 @@ def lowest_depth(body: Projectile, qpos: np.ndarray) -> float:
     return -(float(qpos[1]) + below)
 
 
-def _push(run: MeasuredRun, simulator: Simulator) -> Motion:
+def _push(run: Run, simulator: Simulator) -> Motion:
     """Push at constant speed, with the sand's inertia: mean forces between rows.
 
     The body is heavy and is put back on its path after each step; the force is the momentum that
@@ -282,7 +282,7 @@ def _push(run: MeasuredRun, simulator: Simulator) -> Motion:
     data, timestep = simulator.data, simulator.model.opt.timestep
     gravity = -float(simulator.model.opt.gravity[2])
     assert isinstance(run.body, Projectile)
-    place = run.body.touching(math.radians(run.angle))
+    place = run.body.touching(run.angle)
 
     def force_at(depth: float) -> float:
         data.qpos[:], data.qvel[:], data.qacc_warmstart[:] = place, (0.0, -run.speed, 0.0), 0.0
@@ -299,12 +299,12 @@ def _push(run: MeasuredRun, simulator: Simulator) -> Motion:
     return Motion(depth=depths, speed=np.full(len(depths), run.speed), force=np.array(force))
 
 
-def place(run: MeasuredRun, simulator: Simulator) -> Motion:
+def place(run: Run, simulator: Simulator) -> Motion:
     """Return the forces on a body at the pose and velocity of each row."""
     model, data, rows = simulator.model, simulator.data, _rows(run)
     pose = model.qpos0
     if not isinstance(run.body, Path):
-        pose = run.body.touching(math.radians(run.angle))
+        pose = run.body.touching(run.angle)
     forces = []
     for row in rows:
         data.qpos[:], data.qvel[:] = pose, 0.0
@@ -323,7 +323,7 @@ def place(run: MeasuredRun, simulator: Simulator) -> Motion:
     return replace(run.motion, force=x if run.kind == "turn" else -x, side=side, lift=z)
 
 
-def _sink(run: MeasuredRun, simulator: Simulator) -> Motion:
+def _sink(run: Run, simulator: Simulator) -> Motion:
     """Drive a wheel under its load: final depth, and mean forces before.
 
     It is heavy in the prescribed directions, and is put back to its speed after each step; the
@@ -348,7 +348,7 @@ def _sink(run: MeasuredRun, simulator: Simulator) -> Motion:
     return replace(run.motion, depth=depth, force=force[:, 0], side=force[:, 1])
 
 
-def _walk(run: MeasuredRun, simulator: Simulator) -> Motion:
+def _walk(run: Run, simulator: Simulator) -> Motion:
     """Walk with legs at a constant rate: mean speed along x over full turns."""
     model, data = simulator.model, simulator.data
     hinges = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE)
@@ -367,7 +367,7 @@ def _walk(run: MeasuredRun, simulator: Simulator) -> Motion:
     return replace(run.motion, speed=np.array(speeds))
 
 
-MOVES: dict[str, Callable[[MeasuredRun, Simulator], Motion]] = {
+_MOVES: dict[str, Callable[[Run, Simulator], Motion]] = {
     "drop": _drop,
     "push": _push,
     "place": place,
@@ -377,7 +377,7 @@ MOVES: dict[str, Callable[[MeasuredRun, Simulator], Motion]] = {
 """How runs are simulated."""
 
 
-def _rows(run: MeasuredRun) -> list[dict[str, float]]:
+def _rows(run: Run) -> list[dict[str, float]]:
     """Return the values of each row, angles in radians; the run's speed if rows have none."""
     columns = {name: value for name, value in vars(run.motion).items() if np.ndim(value) == 1}
     columns.setdefault("speed", np.full(len(run.motion.depth), run.speed))

@@ -1,37 +1,24 @@
-"""A run as the fit sees it: measured data row by row, and the prediction for a material."""
+"""Runs as the fit sees them: measured data row by row, predictions, and all of their residuals."""
 
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any
 
-import mujoco
 import numpy as np
 
 from mjgranular.calibrate.material import Material
-from mjgranular.calibrate.motion import Errors, Motion, compare, relative, rms
-from mjgranular.calibrate.runs import MeasuredRun, Run
-from mjgranular.calibrate.simulate import (
-    MOVES,
-    Simulator,
-    lowest_depth,
-    place,
-    simulator_of,
-    way_of,
-)
+from mjgranular.calibrate.motion import Errors, Motion, compare, rms
+from mjgranular.calibrate.runs import Run
+from mjgranular.calibrate.simulate import Simulator, place, simulate_with, simulator_of
 from mjgranular.errors import InputError, UnstableError, shown
-from mjgranular.experiment.drop import Drop, load, start_from
-from mjgranular.sand.chosen import geoms_in_sand
-from mjgranular.sand.spec import SandSpec
-from mjgranular.scheme import Implicit
-from mjgranular.shape.select import find_all
-from mjgranular.surface import Plane
-from mjgranular.surface.floors import WOULD_CARRY, describe_floors, find_floors
+from mjgranular.models import Projectile
+
+_FAR = 10.0  # residual of a run that diverged: ten times what was measured
+_FINE = 1e-3  # relative step of a difference; chosen: the error of central ones is its square
 
 _POINTS = 41  # points at which the force of a smooth path is computed; linear in between
-_PUSH_SPEED = 0.01  # default speed of a push [m/s]: slow
 _DEEPEST = 20.0  # depth of a push, at most, in largest extents of the body; chosen, wide
 
 _FORCES = ("force", "side", "lift")
@@ -60,7 +47,7 @@ class Trial(ABC):
 
     carries = 2  # largest number of constants that such a curve can determine; chosen
 
-    run: Any  # a `Run` or `MeasuredRun`
+    run: Any  # a `Run`
     series: tuple[Series, ...]
     axis: str
     places: np.ndarray
@@ -88,29 +75,31 @@ class Trial(ABC):
         """Return the places of a curve: times count from the touch."""
         return self.places
 
+    def off(self, outcome: Motion, shift: float | None) -> list[np.ndarray]:
+        """Return prediction minus measurement of each series."""
+        found = self.predicted(outcome, shift)
+        return [values - s.values for values, s in zip(found, self.series, strict=True)]
+
     def residual(self, outcome: Motion, shift: float | None) -> np.ndarray:
         """Return prediction minus measurement, in parts of each scale.
 
         Divided by the root of the number of rows: every series has the same weight at any frame
         rate.
         """
-        parts = [
-            (found - series.values) / (series.scale * np.sqrt(len(series.values)))
-            for series, found in zip(self.series, self.predicted(outcome, shift), strict=True)
-        ]
-        return np.concatenate(parts)
+        scales = (s.scale * np.sqrt(len(s.values)) for s in self.series)
+        return np.concatenate([*map(np.divide, self.off(outcome, shift), scales)])
 
 
 class RowsTrial(Trial):
     """A run whose rows are compared one by one."""
 
-    def __init__(self, run: MeasuredRun) -> None:
-        self.run = run
+    def __init__(self, run: Run) -> None:
+        self.run, motion = run, run.motion
         self.axis, names = _SERIES[run.kind]
-        self.places = getattr(run.motion, self.axis)
-        self.series = _series({name: getattr(run.motion, name) for name in names})
+        self.places = getattr(motion, self.axis)
+        self.series = _series({name: getattr(motion, name) for name in names})
         self._simulators: dict[str, Simulator] = {}
-        found = run.motion.rate if run.kind == "walk" else run.motion.speed
+        found = motion.rate if run.kind == "walk" else motion.speed
         if run.kind == "turn":
             self.speeds = (abs(run.speed) * run.width,)
         elif found is None:
@@ -119,67 +108,31 @@ class RowsTrial(Trial):
             self.speeds = (float(found.min()), float(found.max()))
 
     def simulate(self, material: Material) -> Motion:
-        way = way_of(self.run, material.law)
-        if way not in self._simulators:
-            self._simulators[way] = simulator_of(self.run, way)
-        self._simulators[way].use(material)
-        return MOVES[way](self.run, self._simulators[way])
+        return simulate_with(self.run, material, self._simulators)
 
     def errors(self, outcome: Motion, shift: float | None) -> Errors:
         return compare(self.run.motion, outcome)
 
 
-class PushTrial(Trial):
-    """A body pushed straight down, or dragged along: force against depth or speed."""
+class PushTrial(RowsTrial):
+    """A shape pushed straight down, or dragged along: force against depth or speed."""
 
     def __init__(self, run: Run) -> None:
-        self.run = run
-        self.axis, names = _SERIES[run.kind]
-        where = f"run {shown(run.name)}"
-        assert run.body is not None
-        measured = run.measured()
-        inside = measured["depth"] > 0 if run.kind == "intrude" else measured["speed"] > 0
-        deepest, size = run.depth or measured["depth"].max(), run.body.size
-        if deepest > _DEEPEST * size:
-            raise InputError(
-                f"{where}: a depth of {deepest:.4g} m for a body of {size:.3g} m is implausible: "
-                "the key depth is in m; name the unit of a column, such as 'depth [mm]'"
-            )
-        if run.kind == "drag" and not inside.all():
-            least = measured["speed"].min()
-            raise InputError(f"{where}: speeds of a drag must be positive, got {least:g} m/s")
-        if inside.sum() < 2:
-            count = inside.sum() or "no contact"
-            what = "depths" if run.kind == "intrude" else "speeds"
-            raise InputError(
-                f"{where}: 2 or more rows must be in the sand, got {count}; "
-                f"{what} there are positive"
-            )
-        rows = {name: values[inside] for name, values in measured.items()}
-        mean = rows["force"].mean()
-        if mean <= 0:
-            raise InputError(
-                f"{where}: the mean force against the motion must be positive, got {mean:.3g} N"
-            )
-        self.places = rows[self.axis]
-        self.series = _series({name: rows.get(name) for name in names})
-        ends = float(self.places.min()), float(self.places.max())
-        self._speed = run.speed or _PUSH_SPEED
-        self.speeds = ends if self.axis == "speed" else (self._speed,)
-        few = self.axis == "speed" or len(self.places) <= _POINTS
-        places = np.unique(self.places) if few else np.linspace(*ends, _POINTS)
-        self._simulated = self._run_at(places)
-        self._simulator = simulator_of(self._simulated, "place")
-
-    def _run_at(self, places: np.ndarray) -> MeasuredRun:
-        """Return the run with rows at these places, and forces that are not used."""
-        run, none = self.run, np.zeros(len(places))
+        inside = _rows_of_push(run)
+        names = ("depth", "force", "lift", "speed") if run.kind == "drag" else ("depth", "force")
+        columns = {name: getattr(run.motion, name) for name in names}
+        rows: dict[str, Any] = {k: v if v is None else v[inside] for k, v in columns.items()}
+        super().__init__(replace(run, motion=Motion(**rows)))
+        places = np.unique(self.places)
+        if self.axis == "depth" and len(self.places) > _POINTS:
+            places = np.linspace(places[0], places[-1], _POINTS)
+        none = np.zeros(len(places))  # forces that are not used
         motion = Motion(depth=places, force=none)
         if self.axis == "speed":
-            motion = Motion(depth=none + run.depth, speed=places, force=none)
-        angle = float(np.degrees(run.angle))
-        body = run.body.projectile
-        return MeasuredRun(run.name, run.kind, body, motion, speed=self._speed, angle=angle)
+            depth = np.full(len(places), run.depth)
+            motion = Motion(depth=depth, speed=places, force=none)
+        self._simulated = replace(run, motion=motion)
+        self._simulator = simulator_of(self._simulated, "place")
 
     def simulate(self, material: Material) -> Motion:
         self._simulator.use(material)
@@ -189,13 +142,39 @@ class PushTrial(Trial):
         return Motion(depth=self.places, **columns)
 
     def errors(self, outcome: Motion, shift: float | None) -> Errors:
-        found = self.predicted(outcome, shift)
-        off = [f - s.values for f, s in zip(found, self.series, strict=True)]
-        force = self.series[0]
+        off, force = self.off(outcome, shift), self.series[0]
         return Errors(
             trajectory=rms(np.linalg.norm(off, axis=0)) / force.scale,
-            force=float(found[0].mean() / force.values.mean() - 1),
+            force=float(self.predicted(outcome, shift)[0].mean() / force.values.mean() - 1),
         )
+
+
+def _rows_of_push(run: Run) -> np.ndarray:
+    """Return which rows of a push or drag are in the sand, after checks of units and signs."""
+    force, along = run.motion.force, getattr(run.motion, _SERIES[run.kind][0])
+    assert isinstance(run.body, Projectile)
+    assert force is not None
+    where, size = f"run {shown(run.name)}", run.body.reach
+    deepest, inside = run.depth or run.motion.depth.max(), along > 0
+    if deepest > _DEEPEST * size:
+        raise InputError(
+            f"{where}: a depth of {deepest:.4g} m for a body of {size:.3g} m is implausible: "
+            "the key depth is in m; name the unit of a column, such as 'depth [mm]'"
+        )
+    if run.kind == "drag" and not inside.all():
+        raise InputError(f"{where}: speeds of a drag must be positive, got {along.min():g} m/s")
+    if inside.sum() < 2:
+        count = inside.sum() or "no contact"
+        what = "depths" if run.kind == "intrude" else "speeds"
+        raise InputError(
+            f"{where}: 2 or more rows must be in the sand, got {count}; {what} there are positive"
+        )
+    mean = force[inside].mean()
+    if mean <= 0:
+        raise InputError(
+            f"{where}: the mean force against the motion must be positive, got {mean:.3g} N"
+        )
+    return inside
 
 
 def _series(columns: dict[str, np.ndarray | None]) -> tuple[Series, ...]:
@@ -207,279 +186,6 @@ def _series(columns: dict[str, np.ndarray | None]) -> tuple[Series, ...]:
         Series(name, values, scale if name in _FORCES else float(np.abs(values).max()))
         for name, values in given.items()
     )
-
-
-# Dropped bodies: depth, and optionally pitch, over time
-
-GRAVITY = 9.81  # as for all dropped bodies (models/link.xml) [m/s^2]
-
-_BEGINNING = 0.1  # part of the depth within which a fall is nearly uniform; chosen
-_NEAR_STOP = 0.75  # part of the depth beyond which a stop is searched; chosen
-_END = 0.1  # part of the rows over which the final depth is averaged; chosen
-_PLAUSIBLE = (0.02, 1.5)  # mean speed on the way down over that of a free fall; chosen, wide
-_TIMES = 200  # number of stopping times tried
-_VAGUE = 0.5  # part of a stopping time within which the rows must tell it; chosen
-_STAYS = 0.03  # parts of its range within which a curve counts as settled; chosen
-
-_STEPS = 100  # steps of a simulated record, and twice that; chosen by trials, see `simulate`
-_STEP_RANGE = (1e-5, 5e-4)  # range of the time step [s]; chosen
-_AFTER = 1.5  # rows are used up to this many times the time to rest: later rows add nothing
-_BEFORE = 0.1  # and from this part of it before the touch: rows in the air do not depend on sand
-_LEAST_PITCH = 10.0  # scale of a pitch that hardly changes [degrees]; chosen
-_TOUCH = 0.03  # parts of the depth by which the first touch may be off; chosen
-
-
-class Arrest(NamedTuple):
-    """Final depth [m], and the time at which the lowest point stops, after the touch [s]."""
-
-    depth: float
-    time: float | None = None
-
-
-def find_touch(time: np.ndarray, depth: np.ndarray, speed: float) -> float:
-    """Return the time at which the lowest point touches the sand, from the rows around it [s].
-
-    Above the sand the body falls freely; in the first tenth of its path the deceleration is
-    constant.
-    """
-    greatest = depth.max()
-    beyond = np.flatnonzero(depth > 3 * _BEGINNING * greatest)[0]
-    early = np.flatnonzero(depth[: beyond + 1] < _BEGINNING * greatest)
-    if speed == 0:
-        return float(time[0])
-    rows = early if len(early) else np.array([0])
-    t, d = time[rows], depth[rows]
-    square = speed**2 + 2 * GRAVITY * np.minimum(d, 0.0)
-    falling = square > (0.05 * speed) ** 2  # before that the body was held
-    if not falling.any():
-        falling = np.ones(len(d), bool)
-    above = (np.sqrt(np.maximum(square, 0.0)) - speed) / GRAVITY
-    below = d / speed * (1 + d / (4 * greatest))
-    since = np.where(d > 0, below, above)
-    return float(np.median((t - since)[falling]))
-
-
-def find_arrest(since: np.ndarray, depth: np.ndarray) -> Arrest:
-    """Find where a fall ends, in the same way for measurements with noise and for computed curves.
-
-    With constant deceleration at the end, `d = D - a (T - t)^2 / 2` before the body stops: D, a and
-    T are fitted to the last quarter of the path. If the body rolls over afterwards, only the part
-    before it rises again counts. There is no time if noise or few rows leave it open.
-    """
-    count = max(1, round(_END * len(depth)))
-    final = float(depth[-count:].mean())
-    width = max(1, len(depth) // 25)
-    smooth = np.convolve(depth, np.ones(width) / width, mode="valid")
-    middle = since[width // 2 : width // 2 + len(smooth)]
-    top = smooth.max()
-    first = int(np.argmax(smooth > _NEAR_STOP * top))
-    low = np.flatnonzero(smooth[int(np.argmax(smooth)) :] < 0.97 * top)
-    end = middle[min(len(middle) - 1, int(np.argmax(smooth)) + int(low[0]))] if len(low) else None
-    rows = (since >= middle[first]) & (since <= (since[-1] if end is None else end))
-    t, d = since[rows], depth[rows]
-    if len(t) < 5:
-        return Arrest(final)
-    stops, errors = np.linspace(t[0], t[-1], _TIMES)[1:], []
-    for stop in stops:
-        basis = np.column_stack([np.ones(len(t)), np.maximum(stop - t, 0.0) ** 2])
-        solution, *_ = np.linalg.lstsq(basis, d, rcond=None)
-        errors.append(float(((basis @ solution - d) ** 2).sum()))
-    at, least = float(stops[np.argmin(errors)]), min(errors)
-    alike = stops[np.array(errors) <= least * (1 + 4 / (len(t) - 3))]  # within two deviations
-    last = t[-1] - 1.5 * (t[-1] - t[0]) / _TIMES
-    return Arrest(final, None if at >= last or np.ptp(alike) > _VAGUE * at else at)
-
-
-def check_units(time: np.ndarray, depth: np.ndarray, speed: float, size: float, where: str) -> None:
-    """Check that depths and times are plausible in meters and seconds."""
-    greatest = float(depth.max())
-    near = np.flatnonzero(depth >= 0.9 * greatest)[0]
-    begin = np.flatnonzero(depth[: near + 1] <= _BEGINNING * greatest)
-    took = float(time[near] - time[begin[-1] if len(begin) else 0])
-    took = max(took, float(np.diff(time).min()))
-    of_free_fall = 0.9 * greatest / (speed * took + GRAVITY * took**2 / 2)
-    low, high = _PLAUSIBLE
-    if not low <= of_free_fall <= high or greatest > 50 * size:
-        raise InputError(
-            f"{where}: {greatest:.4g} m deep after {took:.3g} s at {speed:g} m/s is implausible: "
-            "name units, such as 'depth [mm]' and 'time [ms]', and check the speed"
-        )
-
-
-def settling(since: np.ndarray, values: np.ndarray) -> float:
-    """Return when a curve has settled to its end value but for noise, else its last time."""
-    width = max(1, len(values) // 20)
-    smooth = np.convolve(values, np.ones(width) / width, mode="valid")
-    away = np.flatnonzero(np.abs(smooth - smooth[-1]) > _STAYS * np.ptp(smooth))
-    last = min(len(since) - 1, int(away[-1]) + width) if len(away) else 0
-    return float(since[last])
-
-
-def check_record(time: np.ndarray, depth: np.ndarray, where: str) -> None:
-    """Check that a record has enough rows, increasing times and contact."""
-    if len(time) < 4:
-        raise InputError(f"{where}: a trajectory needs at least 4 rows, got {len(time)}")
-    back = np.flatnonzero(np.diff(time) <= 0)
-    if len(back):
-        row = int(back[0])
-        raise InputError(
-            f"{where}, row {row + 2}: times must grow, got {time[row + 1]:g} after {time[row]:g} s"
-        )
-    if depth.max() <= 0:
-        raise InputError(
-            f"{where}: no contact: depths, positive downward, are at most {depth.max():.4g} m"
-        )
-
-
-class DropTrial(Trial):
-    """A drop of a body of simple shape."""
-
-    carries = 3
-    axis = "time"
-
-    def __init__(self, run: Run) -> None:
-        self.run = run
-        self._where = f"run {shown(run.name)}"
-        self._speed = run.speed or 0.0
-        self.speeds = (self._speed,)
-        measured = run.measured()
-        time, depth = measured["time"], measured["depth"]
-        check_record(time, depth, self._where)
-        falls = run.kind == "drop"  # a model starts at its first row
-        if falls and depth[-1] < min(depth[0], 0.0):
-            raise InputError(
-                f"{self._where}: the body ends {-depth[-1]:.4g} m above the sand: "
-                "depths are positive downward"
-            )
-        if self._speed > 0 or run.body is not None:
-            size = math.inf if run.body is None else run.body.size
-            check_units(time, depth, self._speed, size, self._where)
-        self.touch = find_touch(time, depth, self._speed) if falls else float(time[0])
-        since = time - self.touch
-        curves = [np.maximum(depth, 0.0)]
-        curves += [measured["pitch"]] if "pitch" in measured else []
-        moving = max(settling(since, curve) for curve in curves)
-        before = min(_BEFORE * moving, self._speed / GRAVITY) if falls else 0.0
-        used = (since <= _AFTER * moving) & (since >= -before)
-        self.places = time[used]
-        self.series = (Series("depth", depth[used], float(depth.max())),)
-        if "pitch" in measured:
-            pitch = measured["pitch"]
-            self._check_pitch(float(pitch[0]))
-            scale = max(_LEAST_PITCH, float(np.ptp(pitch)))
-            self.series += (Series("pitch", pitch[used], scale),)
-        self.arrest = find_arrest(self.places - self.touch, depth[used])
-        self._simulator = self._make_simulator(float(self.places[-1] - self.touch))
-        if falls and self._speed > 0:  # it is fitted with the constants
-            off = max(_TOUCH * float(depth.max()) / self._speed, float(np.median(np.diff(time))))
-            self.shift, self.shift_range = self.touch, (self.touch - off, self.touch + off)
-
-    def _check_pitch(self, first: float) -> None:
-        """Check the first pitch [degrees] against the angle of the run."""
-        angle = round(math.degrees(self.run.angle), 9)
-        if abs(first - angle) > 10:
-            raise InputError(
-                f"{self._where}: the angle is {angle:g} and the first pitch {first:.3g} degrees: "
-                "both are that of the axis from the vertical; a column in radians is 'pitch [rad]'"
-            )
-
-    def _make_simulator(self, duration: float) -> Simulator:
-        self._timestep = float(np.clip(duration / _STEPS, *_STEP_RANGE))
-        self._duration = duration + self._timestep
-        projectile = self.run.body.projectile
-        self._qpos = np.array(projectile.touching(self.run.angle), float)
-        self._qvel = np.array(projectile.moving(self.run.angle, self._speed, 0.0, 0.0), float)
-        return Simulator(projectile.model(self._timestep), Implicit(), ("link",))
-
-    def simulate(self, material: Material) -> Motion:
-        self._simulator.use(material)
-        late = 0.0 if self.shift is None else self.shift_range[1] - self.shift_range[0]
-        # The scheme is of first order: with 300 steps a drag would come out 1.7 % too large. The
-        # limit of two step sizes (Richardson) leaves 0.004 %.
-        steps = int(np.ceil((self._duration + late) / self._timestep))
-        path = 2 * self._path(steps, 2) - self._path(steps, 1)
-        time = self._timestep * np.arange(len(path))
-        depth = np.array([lowest_depth(self.run.body.projectile, row) for row in path])
-        return Motion(depth=depth, time=time, pitch=np.degrees(path[:, 2]))
-
-    def _path(self, steps: int, parts: int) -> np.ndarray:
-        """Return positions before and after each of `steps` steps, each divided into `parts`."""
-        simulator, timestep = self._simulator, self._timestep / parts
-        simulator.model.opt.timestep = timestep
-        qvel = self._qvel.copy()
-        # MuJoCo's velocities lie half a step before its positions (docs/scheme.md).
-        qvel[1] += timestep / 2 * GRAVITY
-        simulator.reset(self._qpos, qvel)
-        path = simulator.move(steps * parts, lambda: simulator.data.qpos, until_rest=True)
-        return np.vstack([self._qpos, path[parts - 1 :: parts]])
-
-    def since(self, shift: float | None) -> np.ndarray:
-        return self.places - (self.touch if shift is None else shift)
-
-    def predicted(self, outcome: Motion, shift: float | None) -> list[np.ndarray]:
-        since = self.since(shift)
-        above = np.minimum(since, 0.0)
-        assert outcome.time is not None
-        found = [np.interp(since, outcome.time, getattr(outcome, s.name)) for s in self.series]
-        found[0] += self._speed * above + GRAVITY / 2 * above**2
-        return found
-
-    def errors(self, outcome: Motion, shift: float | None) -> Errors:
-        found = self.predicted(outcome, shift)
-        off = [f - s.values for f, s in zip(found, self.series, strict=True)]
-        measured, predicted = self.arrest, find_arrest(self.since(shift), found[0])
-        return Errors(
-            depth=predicted.depth / measured.depth - 1,
-            stopping_time=relative(measured.time, predicted.time),
-            trajectory=rms(off[0]) / self.series[0].scale,
-            pitch=rms(off[1]) if len(off) > 1 else None,
-        )
-
-
-class ModelTrial(DropTrial):
-    """A body of a custom model: it starts from its keyframe at the first row of the record."""
-
-    def _make_simulator(self, duration: float) -> Simulator:
-        run = self.run
-        model, _ = load(Drop(run.model, keyframe=run.keyframe))
-        (body,) = find_all(model, "body", run.model_body)
-        floors = find_floors(model, geoms_in_sand(model, SandSpec()), Plane())
-        if floors:
-            raise InputError(
-                f"{self._where}: {describe_floors(model, floors, WOULD_CARRY)}: remove it from the "
-                "model, the sand is in its place"
-            )
-        data = mujoco.MjData(model)
-        start_from(model, data, run.keyframe)
-        self._body, self._steps = body, int(np.ceil(duration / model.opt.timestep)) + 2
-        self._qpos, self._qvel = data.qpos.copy(), data.qvel.copy()
-        if self._speed:
-            joint = model.body_jntadr[model.body_rootid[body]]
-            if joint < 0 or model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_FREE:
-                raise InputError(
-                    f"{self._where}: a speed is for a free joint; use a keyframe with velocities"
-                )
-            self._qvel[model.jnt_dofadr[joint] + 2] -= self._speed
-        return Simulator(model, Implicit())
-
-    def simulate(self, material: Material) -> Motion:
-        simulator = self._simulator
-        simulator.use(material)
-        if not len(simulator.depths_of(self._body)):
-            raise InputError(f"the body {self.run.model_body!r} does not meet the sand")
-        simulator.reset(self._qpos, self._qvel)
-        depth = simulator.move(self._steps, lambda: simulator.depths_of(self._body).max())
-        return Motion(depth=depth, time=simulator.model.opt.timestep * np.arange(len(depth)))
-
-    def predicted(self, outcome: Motion, shift: float | None) -> list[np.ndarray]:
-        assert outcome.time is not None
-        return [np.interp(self.since(None), outcome.time, outcome.depth)]
-
-
-# All runs of a fit
-
-_FAR = 10.0  # residual of a run that diverged: ten times what was measured
-_FINE = 1e-3  # relative step of a difference; chosen: the error of central ones is its square
 
 
 class Problem:

@@ -11,9 +11,9 @@ from mjgranular.cli.console import note, out, print_json, progress_bar, table
 from mjgranular.cli.options import FilmOptions, collected, options_of, write_film
 from mjgranular.errors import GranularError
 from mjgranular.experiment.drop import Drop, DropResult, load, run_drop
-from mjgranular.experiment.folder import RUN_FILES, write_drop
+from mjgranular.experiment.folder import RUN_FILES, write_run
 from mjgranular.picture.figures import draw_drop
-from mjgranular.picture.video import Film, Motion, check_camera, frames_of_drop
+from mjgranular.picture.video import Film, check_camera, frames_of_drop
 
 FIGURE = "drop.png"
 FILM = "drop.mp4"
@@ -42,7 +42,7 @@ class DropCommand(FilmOptions, options_of(Drop, without=("model",))):
             with progress_bar("running the model", drop.duration) as progress:
                 result = run_drop(drop, progress=progress)
             if folder is not None:
-                write_drop(folder, result)
+                write_run(folder, result)
             if self.json:
                 print_json(result.summary())
             else:
@@ -67,8 +67,8 @@ def _draw(folder: ResultFolder, result: DropResult) -> None:
 
 def _film(folder: ResultFolder, result: DropResult, camera: str) -> None:
     film = Film(camera=camera, seconds=1.0)
-    motion = Motion(result.t, result.qpos, result.point, result.force)
-    write_film(folder, FILM, film, lambda: frames_of_drop(film, result.drop, motion, result.prints))
+    drawn = (film, result.drop, vars(result), result.prints)
+    write_film(folder, FILM, film, lambda: frames_of_drop(*drawn))
 
 
 def _show(result: DropResult) -> None:

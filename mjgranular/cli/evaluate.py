@@ -18,7 +18,7 @@ from mjgranular.learn import environments
 from mjgranular.learn.agents import BASELINES, Agent, make_baseline
 from mjgranular.learn.evaluate import FIRST_SEED, Score, check_seeds, evaluate, parse_variant
 from mjgranular.learn.policies import Policy, load_policy
-from mjgranular.learn.sands import Sands, sands_of
+from mjgranular.learn.sands import Sands, sands_made, sands_of
 
 
 @dataclass(frozen=True)
@@ -35,6 +35,13 @@ class Actor:
         if isinstance(self.agent, str):
             return make_baseline(self.agent, self.environment, env, gait=self.gait)
         return self.agent.checked(self.environment, env)
+
+    def arguments_on(self, variant: str) -> dict[str, Any]:
+        """Return the arguments of a variant; without one, warn of sand unlike that of training."""
+        arguments = {**self.arguments, **parse_variant(variant)}
+        if not variant:
+            warn_of_sand(self, sands_made(self.environment, arguments))
+        return arguments
 
 
 @dataclass(frozen=True)

@@ -8,12 +8,12 @@ from typing import Annotated
 import tyro
 from rich.table import Table
 
-from mjgranular._util import files
+from mjgranular._util.result_folder import ResultFolder
 from mjgranular.calibrate import Errors, Fit, FitResult, read_fit, run_fit
 from mjgranular.calibrate.medium import fitted_medium, medium_text
 from mjgranular.cli.console import out, print_json, progress_bar, show_error, table
-from mjgranular.cli.options import Flag, law_named
-from mjgranular.errors import InputError, MissingExtraError, OutputError
+from mjgranular.cli.options import Flag, collected, law_named
+from mjgranular.errors import InputError
 from mjgranular.picture.fits import draw_fit
 
 _ROUNDS = 12  # of a fit, as a guess for the progress bar
@@ -53,27 +53,23 @@ class FitCommand:
             raise InputError(f"--out must be a file that ends in .yaml, got {str(self.out)!r}")
         if not self.out.parent.is_dir():
             raise InputError(f"there is no folder {self.out.parent} for {self.out.name}: make it")
-        figure = self.out.with_suffix(".fit.png")
-        with files.locked(self.out.parent, f".{self.out.name}{files.LOCK}"):
-            for path in (self.out, figure):
-                if path.exists() and not self.overwrite:
-                    raise OutputError(f"{path} exists: choose another name, or use --overwrite")
+        figure, problems = self.out.with_suffix(".fit.png").name, []
+        folder = ResultFolder(self.out.parent, (self.out.name, figure))
+        with folder.claimed(overwrite=self.overwrite):
             result = _run(fit)
-            problem = None
-            try:
-                draw_fit(figure, result)
-            except MissingExtraError as error:
-                problem = error
+            with collected(problems):
+                folder.write(figure, lambda path: draw_fit(path, result))
             fitted = ", ".join(run.name for run in fit.runs if run.name not in fit.hold_out)
             source = f"{self.runs.name} ({fitted})"
-            medium = fitted_medium(result, self.out.stem, source=source)
-            files.write_text(self.out, medium_text(medium))  # last: if it exists, all files do
+            text = medium_text(fitted_medium(result, self.out.stem, source=source))
+            # Last: if it exists, all files do.
+            folder.write(self.out.name, lambda path: path.write_text(text, encoding="utf-8"))
         self._show(result)
         if not self.json:
             out.print(f"written to {self.out}")
-        if problem is not None:
+        for problem in problems:
             show_error(f"{problem} (the medium is in {self.out})")
-        return 2 if problem else 0
+        return 2 if problems else 0
 
     def _show(self, result: FitResult) -> None:
         if self.json:

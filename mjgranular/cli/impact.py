@@ -1,21 +1,18 @@
-"""`mjgranular impact`: one drop of the link, of another body or of a chain; the paper's table."""
+"""`mjgranular impact`: one drop of the link or of another body."""
 
 from dataclasses import asdict, dataclass
-from functools import partial
 from typing import Any
 
 from rich.table import Table
 
 from mjgranular._util.result_folder import ResultFolder
 from mjgranular.cli.console import note, out, print_json, progress_bar
-from mjgranular.cli.options import FilmOptions, Frames, collected, options_of, write_film
+from mjgranular.cli.options import FilmOptions, collected, options_of, write_film
 from mjgranular.errors import GranularError, InputError
 from mjgranular.experiment import Impact, ImpactResult, run_impact
-from mjgranular.experiment.folder import RUN_FILES, write_impact
-from mjgranular.experiment.trajectory import Trajectory
+from mjgranular.experiment.folder import RUN_FILES, write_run
 from mjgranular.picture.figures import draw_forces, draw_motion
-from mjgranular.picture.video import Film, frames_of_run
-from mjgranular.render import Tracks
+from mjgranular.picture.video import Film, frames_of_impact
 
 FIGURES = ("motion.png", "forces.png")
 VIDEO = "impact.mp4"
@@ -44,7 +41,7 @@ class ImpactCommand(FilmOptions, options_of(Impact)):
             with progress_bar("dropping the link", impact.duration) as progress:
                 result = run_impact(impact, progress=progress)
             if folder is not None:
-                write_impact(folder, result)
+                write_run(folder, result)
             if self.json:
                 print_json(result.summary())
             else:
@@ -110,24 +107,13 @@ def _draw(folder: ResultFolder, result: ImpactResult, film: Film | None) -> list
     """Draw the figures of a drop and its film; return what could not be drawn."""
     problems: list[GranularError] = []
     summary = result.summary()
+    stop = release_to_stop(summary)
     with collected(problems):
-        options = {"stop": release_to_stop(summary), "title": _title(summary)}
+        options = {"stop": stop, "title": _title(summary)}
         for name, draw in zip(FIGURES, (draw_motion, draw_forces), strict=True):
             folder.write(name, lambda path, draw=draw: draw(path, result.trajectory, **options))
     if film is not None:
-        frames = film_impact(result.impact, result.trajectory, summary, film, result.prints)
+        drawn = (film, result.impact, result.trajectory, stop, result.prints)
         with collected(problems):
-            write_film(folder, VIDEO, film, frames)
+            write_film(folder, VIDEO, film, lambda: frames_of_impact(*drawn))
     return problems
-
-
-def film_impact(
-    impact: Impact,
-    trajectory: Trajectory,
-    summary: dict[str, Any],
-    film: Film,
-    prints: Tracks | None = None,
-) -> Frames:
-    """Return a function for the frames of a film of a drop."""
-    options = {"stop": release_to_stop(summary), "prints": prints, "sand": impact.described}
-    return partial(frames_of_run, film, impact.link, trajectory, **options)

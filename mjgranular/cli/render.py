@@ -10,15 +10,14 @@ from mjgranular._util.checks import check_count
 from mjgranular._util.result_folder import TRAINING, ResultFolder
 from mjgranular.cli import drop, impact
 from mjgranular.cli.console import out
-from mjgranular.cli.evaluate import find_actor, is_environment, warn_of_sand
+from mjgranular.cli.evaluate import find_actor, is_environment
 from mjgranular.cli.options import Flag, Frames, options_of, write_film
 from mjgranular.errors import InputError
 from mjgranular.experiment.folder import prints_of, read_drop, read_impact, saved_command
-from mjgranular.learn.evaluate import FIRST_SEED, parse_variant
+from mjgranular.learn.evaluate import FIRST_SEED
 from mjgranular.learn.film import frames_of_episode
 from mjgranular.learn.policies import shipped_policies
-from mjgranular.learn.sands import sands_made
-from mjgranular.picture.video import Film, Motion, frames_of_drop
+from mjgranular.picture.video import Film, frames_of_drop, frames_of_impact
 
 _DEFAULT_FILES = {"impact": impact.VIDEO, "drop": drop.FILM, TRAINING: "policy.mp4"}
 
@@ -86,22 +85,19 @@ class RenderCommand(options_of(Film, "seconds", "width", "height", "fps")):
     def _impact(self, film: Film) -> tuple[Film, Frames]:
         experiment, summary, trajectory, prints = read_impact(self.run_folder)
         film.check(experiment.link)
-        return film, impact.film_impact(experiment, trajectory, summary, film, prints)
+        stop = impact.release_to_stop(summary)
+        return film, lambda: frames_of_impact(film, experiment, trajectory, stop, prints)
 
     def _model(self, film: Film) -> tuple[Film, Frames]:
         experiment, arrays = read_drop(self.run_folder)
-        motion = Motion(**{key: arrays[key] for key in ("t", "qpos", "point", "force")})
-        frames = frames_of_drop(film, experiment, motion, prints_of(arrays))
+        frames = frames_of_drop(film, experiment, arrays, prints_of(arrays))
         return film, lambda: frames
 
     def _policy(self, film: Film) -> tuple[Film, Frames]:
         actor = find_actor(str(self.run_folder), trust=self.trust)
-        arguments = {**actor.arguments, **parse_variant(self.on)}
-        if not self.on:
-            warn_of_sand(actor, sands_made(actor.environment, arguments))
         film, count, frames = frames_of_episode(
             actor.environment,
-            arguments,
+            actor.arguments_on(self.on),
             actor.make,
             film,
             seed=FIRST_SEED if self.seed is None else self.seed,

@@ -14,17 +14,16 @@ import tyro
 
 from mjgranular._util.checks import check_count
 from mjgranular.cli.console import err
-from mjgranular.cli.evaluate import find_actor, is_environment, warn_of_sand
-from mjgranular.cli.options import Flag, options_of
+from mjgranular.cli.evaluate import find_actor, is_environment
+from mjgranular.cli.options import Flag, option, options_of
 from mjgranular.engine import NAME, add_sand
 from mjgranular.errors import FloorWarning, InputError
 from mjgranular.experiment.drop import Drop, loading, make_ready, read, start_from
 from mjgranular.experiment.ground import hide_replaced, refuse_floors
 from mjgranular.learn import environments
-from mjgranular.learn.evaluate import FIRST_SEED, parse_variant
+from mjgranular.learn.evaluate import FIRST_SEED
 from mjgranular.learn.live import Live
 from mjgranular.learn.run import POLICY
-from mjgranular.learn.sands import sands_made
 from mjgranular.picture.viewer import Switch, check_display, follow, opened
 from mjgranular.picture.web import Page, check_address
 from mjgranular.render.scenery import place_sun
@@ -118,11 +117,11 @@ class ViewCommand(options_of(Drop, without=_NOT_OPTIONS)):
         for each in fields(self):
             if each.name in _OF_ALL or getattr(self, each.name) == each.default:
                 continue
-            option = f"--{each.name.replace('_', '-')}"
+            name = option(each.name)
             if self._is_policy() and each.name not in _OF_POLICIES:
-                raise InputError(f"{option} is for models: use --on for the sand of a policy")
+                raise InputError(f"{name} is for models: use --on for the sand of a policy")
             if each.name in _OF_POLICIES and not self._is_policy():
-                raise InputError(f"{option} is for policies, and {self.model} is a model")
+                raise InputError(f"{name} is for policies, and {self.model} is a model")
 
     @contextmanager
     def _live(self) -> Iterator[Live]:
@@ -131,10 +130,7 @@ class ViewCommand(options_of(Drop, without=_NOT_OPTIONS)):
         if is_environment(name):
             raise InputError(f"{name} is an environment: name a policy, or the folder of a run")
         actor = find_actor(name, trust=self.trust)
-        arguments = {**actor.arguments, **parse_variant(self.on)}
-        if not self.on:
-            warn_of_sand(actor, sands_made(actor.environment, arguments))
-        arguments["max_episode_steps"] = -1  # no limit
+        arguments = actor.arguments_on(self.on) | {"max_episode_steps": -1}  # no limit
         with closing(environments.one(actor.environment, arguments)) as env:
             yield Live(env, actor.make(env), self.seed)
 

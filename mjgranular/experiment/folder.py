@@ -20,24 +20,20 @@ from mjgranular.render import Tracks
 
 _NPZ = "trajectory.npz"
 RUN_FILES = (CONFIG, SUMMARY, _NPZ)
-
-
-def write_impact(folder: ResultFolder, result: ImpactResult) -> None:
-    """Write an impact: configuration, trajectory and summary, at once."""
-    config = {**asdict(result.impact), "law": result.law}
-    with folder.published("impact", config, result.summary(), unfinished=True):
-        folder.write(_NPZ, lambda path: result.trajectory.write_npz(path, result.prints))
-
-
 _DROP_ARRAYS = ("t", "qpos", "qvel", "depth", "point", "force", "power")
 
 
-def write_drop(folder: ResultFolder, result: DropResult) -> None:
-    """Write a run of a model: configuration, samples and summary, at once."""
-    arrays = {name: getattr(result, name) for name in _DROP_ARRAYS}
+def write_run(folder: ResultFolder, result: ImpactResult | DropResult) -> None:
+    """Write an impact or a drop: configuration, samples and summary, at once."""
+    if isinstance(result, ImpactResult):
+        command, config = "impact", {**asdict(result.impact), "law": result.law}
+        arrays = dict(vars(result.trajectory))
+    else:
+        command, config = "drop", asdict(result.drop)
+        arrays = {name: getattr(result, name) for name in _DROP_ARRAYS}
     if result.prints is not None:
         arrays |= result.prints.arrays()
-    with folder.published("drop", asdict(result.drop), result.summary(), unfinished=True):
+    with folder.published(command, config, result.summary(), unfinished=True):
         folder.write(_NPZ, lambda path: np.savez_compressed(path, **arrays))
 
 

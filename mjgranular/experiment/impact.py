@@ -299,6 +299,8 @@ class _Run:
         self.data.qvel[1] += impact.timestep / 2 * self.gravity
         self.point = self.link.lowest(impact.angle)  # T, as a point of the body
         self.watch = StopWatch(impact.timestep)
+        self.before = self.data.qpos.tolist(), self.data.qvel.tolist()
+        self.x_before = 0.0  # of T
         self.stop: Stop | None = None
         self.rest: Rest | None = None
         self.steps = 0
@@ -321,64 +323,54 @@ class _Run:
         return kinetic / 2 + link.mass * self.gravity * float(self.data.qpos[1])
 
     def follow(self, progress: Callable[[float], None] | None) -> None:
-        impact = self.impact
-        total = math.ceil(impact.duration / impact.timestep - 1e-9)
-        self.sample(self.before_stop)
-        going = self._fall(total, progress)
-        if going and impact.until == "rest":
-            self._come_to_rest(total, progress)
-        self.check_energy()
-        self.sampler.look(self.time, last=True)
-
-    def _step(self, progress: Callable[[float], None] | None) -> None:
-        self.sand.step(self.data)
-        self.steps += 1
-        self.meter.add()
-        self.sampler.look(self.time)
-        if progress is not None and self.steps % _PROGRESS_STEPS == 0:
-            progress(self.time)
-
-    def _fall(self, total: int, progress: Callable[[float], None] | None) -> bool:
-        """Step until T stops; return False if it does not."""
-        qpos, qvel, tip, point = self.data.qpos, self.data.qvel, self.link.tip, self.point
-        position, velocity = qpos.tolist(), qvel.tolist()
-        x_before = 0.0
-        while self.steps < total:
-            self._step(progress)
-            # T at the time of `position`, which is between the two velocities.
-            after = qvel.tolist()
-            mean = [(u + v) / 2 for u, v in zip(velocity, after, strict=True)]
-            x, depth, _, down = tip(position, mean, point)
-            position, velocity = qpos.tolist(), after
-            stop = self.watch.follow(depth, down)
-            if stop is not None:  # T's velocity is linear in time there
-                q, omega, (time, deepest, part) = float(qpos[2]), float(qvel[2]), stop
-                self.stop = Stop(
-                    time=time,
-                    depth=deepest,
-                    x=x_before + part * (x - x_before),
-                    angle=q - (2 - part) * self.impact.timestep * omega,
-                    angular_velocity=omega,
-                    step=self.steps - 2,
-                )
-                self.sample(self.before_stop)
-                return True
-            if self.before_stop.due():
-                self.sample(self.before_stop)
-            x_before = x
-        return False
-
-    def _come_to_rest(self, total: int, progress: Callable[[float], None] | None) -> None:
-        check_every = max(1, round(REST_WINDOW / self.impact.timestep / 50))
+        """Step until T stops, or with `until="rest"` until the link stays where it is."""
+        impact, total = self.impact, math.ceil(self.impact.duration / self.impact.timestep - 1e-9)
+        check_every = max(1, round(REST_WINDOW / impact.timestep / 50))
         watch = RestWatch()
-        while self.steps < total:
-            self._step(progress)
+        self.sample(self.before_stop)
+        for self.steps in range(1, total + 1):
+            self.sand.step(self.data)
+            self.meter.add()
+            self.sampler.look(self.time)
+            if progress is not None and self.steps % _PROGRESS_STEPS == 0:
+                progress(self.time)
+            if self.stop is None:
+                self.stop = self._follow_tip()
+                if self.stop is not None or self.before_stop.due():
+                    self.sample(self.before_stop)
+                if self.stop is not None and impact.until == "stop":
+                    break
+                continue
             if self.after_stop.due():
                 self.sample(self.after_stop)
             if (self.steps - 1) % check_every == 0 and watch.still(self.time, self._ends()):
                 self.rest = self._settled(watch.since)
                 self.sample(self.after_stop)
-                return
+                break
+        self.check_energy()
+        self.sampler.look(self.time, last=True)
+
+    def _follow_tip(self) -> Stop | None:
+        """Follow T for a step; return where it stops."""
+        # T at the time of the position before, which is between the two velocities.
+        position, velocity = self.before
+        after = self.data.qvel.tolist()
+        mean = [(u + v) / 2 for u, v in zip(velocity, after, strict=True)]
+        x, depth, _, down = self.link.tip(position, mean, self.point)
+        self.before = self.data.qpos.tolist(), after
+        stop, x_before, self.x_before = self.watch.follow(depth, down), self.x_before, x
+        if stop is None:
+            return None
+        # T's velocity is linear in time there.
+        q, omega, (time, deepest, part) = float(self.data.qpos[2]), after[2], stop
+        return Stop(
+            time=time,
+            depth=deepest,
+            x=x_before + part * (x - x_before),
+            angle=q - (2 - part) * self.impact.timestep * omega,
+            angular_velocity=omega,
+            step=self.steps - 2,
+        )
 
     def sample(self, recorder: Recorder) -> None:
         self.check_energy()

@@ -12,7 +12,6 @@ from mjgranular._util.files import atomic_write
 from mjgranular._util.io import read_arrays
 from mjgranular.errors import OutputError
 from mjgranular.models import Link
-from mjgranular.render import Tracks
 from mjgranular.sand.report import BodyReport
 
 
@@ -101,12 +100,10 @@ class Trajectory:
         """Return all columns, shape (n, 20)."""
         return np.column_stack([getattr(self, field.name) for field in fields(self)])
 
-    def write_npz(self, path: Path, prints: Tracks | None = None) -> None:
-        """Write the samples as arrays by name, and tracks if there are any."""
-        arrays = {f.name: getattr(self, f.name) for f in fields(self)}
-        arrays |= {} if prints is None else prints.arrays()
+    def write_npz(self, path: Path) -> None:
+        """Write the samples as arrays by name."""
         with atomic_write(path) as part, part.open("wb") as file:
-            np.savez_compressed(file, **arrays)
+            np.savez_compressed(file, **vars(self))
 
     @classmethod
     def read_npz(cls, path: Path) -> Self:

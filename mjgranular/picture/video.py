@@ -1,8 +1,8 @@
 """Films of a run in slow motion, with the force of the sand as an arrow; films in notebooks."""
 
 import warnings
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, fields
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ from mjgranular.errors import (
     UnknownNameError,
 )
 from mjgranular.experiment.drop import Drop, DropResult, load
-from mjgranular.experiment.impact import ImpactResult
+from mjgranular.experiment.impact import Impact, ImpactResult
 from mjgranular.experiment.trajectory import Trajectory
 from mjgranular.models import Link
 from mjgranular.picture.scene import Ground, View, add_arrow, make_renderer
@@ -152,8 +152,19 @@ def frames_of_model(
     return len(times), _render(film, model, motion, times, view, surface, covered)
 
 
-def frames_of_drop(film: Film, drop: Drop, motion: Motion, prints: Tracks | None) -> Frames:
-    """Return the pictures of a run of a drop."""
+def frames_of_impact(
+    film: Film, impact: Impact, trajectory: Trajectory, stop: float | None, prints: Tracks | None
+) -> Frames:
+    """Return the pictures of an impact, with `stop` the time from release to the stop [s]."""
+    sand = impact.described
+    return frames_of_run(film, impact.link, trajectory, stop=stop, prints=prints, sand=sand)
+
+
+def frames_of_drop(
+    film: Film, drop: Drop, samples: Mapping[str, Any], prints: Tracks | None
+) -> Frames:
+    """Return the pictures of a drop, with samples as those of a `DropResult`."""
+    motion = Motion(*(samples[field.name] for field in fields(Motion)))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", GranularWarning)  # the run has shown them
         model, _ = load(drop)
@@ -296,15 +307,11 @@ def _pictures(film: Any, fps: int, seconds: float, camera: str | None) -> list[n
     """Return the pictures of a film, or of a result."""
     if isinstance(film, DropResult):
         options = Film(camera=camera or "free", fps=fps, seconds=seconds)
-        motion = Motion(film.t, film.qpos, film.point, film.force)
-        return list(frames_of_drop(options, film.drop, motion, film.prints)[1])
+        return list(frames_of_drop(options, film.drop, vars(film), film.prints)[1])
     if isinstance(film, ImpactResult):
         options = Film(camera=camera or "side", fps=fps, seconds=seconds)
         stop = None if film.stop is None else (film.touchdown or 0.0) + film.stop.time
-        impact, run, prints = film.impact, film.trajectory, film.prints
-        drawn = frames_of_run(
-            options, impact.link, run, stop=stop, prints=prints, sand=impact.described
-        )
+        drawn = frames_of_impact(options, film.impact, film.trajectory, stop, film.prints)
         return list(drawn[1])
     try:
         pictures = [np.asarray(picture) for picture in film]

@@ -12,8 +12,8 @@ from scipy.integrate import solve_ivp
 
 from mjgranular import InputError, Medium, Quantity, Rft3dLaw, calibrate
 from mjgranular.calibrate import Body, Fit, Run, read_fit, read_runs, run_fit, simulate
+from mjgranular.calibrate.drops import find_arrest
 from mjgranular.calibrate.intervals import correlation_time
-from mjgranular.calibrate.trial import find_arrest
 
 DATA = Path(__file__).resolve().parents[2] / "referee" / "data"
 MASS, STIFFNESS, QUADRATIC = 0.0692, 60.0, 0.8  # Katsuragi and Durian's sphere, about
@@ -177,8 +177,8 @@ def test_lift_of_a_drag_counts():
     drag = Run("drag", "drag", {"speed": speed, "force": 1.0 + speed, "lift": 0.5 + 0.0 * speed},
                body=Body("plate", 0.005, 0.02), angle=math.pi / 2, depth=0.03)  # fmt: skip
     both = run_fit(Fit((drag,), RFT, ("strength",)))
-    data = {key: value for key, value in drag.data.items() if key != "lift"}
-    alone = run_fit(Fit((replace(drag, data=data),), RFT, ("strength",)))
+    motion = replace(drag.motion, lift=None)
+    alone = run_fit(Fit((replace(drag, motion=motion),), RFT, ("strength",)))
     assert [curve.quantity for curve in both.curves["drag"]] == ["force", "lift"]
     assert [curve.quantity for curve in alone.curves["drag"]] == ["force"]
     assert both.values["strength"] != pytest.approx(alone.values["strength"], rel=1e-3)
@@ -195,9 +195,19 @@ def test_a_wheel_at_its_sinkage():
     assert result.runs[run.name].trajectory < 1e-4
 
 
-def test_a_measured_drop_is_given_as_run():
-    with pytest.raises(InputError, match="sphere 1 m/s"):
-        Fit(read_runs(DATA / "seen").runs, RFT, ("strength",))
+def test_a_drop_of_a_set_is_fitted_as_that_of_a_file():
+    seen = read_runs(DATA / "seen")
+    run = seen["sphere 1 m/s"]
+    data = {"time": run.motion.time + 1.0, "depth": run.motion.depth}
+    same = Run(run.name, "drop", data, body=run.body, speed=run.speed)
+    one, other = (run_fit(Fit((r,), seen.medium, ("strength",))) for r in (run, same))
+    assert one.values["strength"] == pytest.approx(other.values["strength"], rel=1e-5)
+    with pytest.raises(InputError, match="sphere 1 m/s': a guided body"):
+        Fit((replace(run, guided=True),), seen.medium, ("strength",))
+    wheel = {"model": DATA / "wheel" / "wheel.xml", "model_body": "wheel"}
+    fitted = replace(run, kind="model", body=None, **wheel)
+    with pytest.raises(InputError, match="can only be fitted"):
+        simulate(fitted, seen.medium)
 
 
 def test_names_of_before_are_aliases():
