@@ -299,7 +299,8 @@ class Swimmer(HalfCheetah):
     def raise_by(self, qpos: np.ndarray, height: Callable[[float, float], float]) -> None:
         pass
 
-    place = staticmethod(place_in_plane)
+    def place(self, state: State) -> dict[str, np.ndarray]:
+        return place_in_plane(state)
 
     def progress(self, before: Any, state: State) -> dict[str, np.ndarray]:
         return {

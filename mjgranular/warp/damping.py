@@ -105,10 +105,10 @@ def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any, remem
     element_struct = struct_of(kernel.element)
     sample = translated(kernel.sample)
     has_cull = kernel.cull is not None and kernel.probe is not None
-    cull = translated(kernel.cull) if has_cull else None
-    ceiling = translated(kernel.probe) if has_cull else None
+    cull: Any = translated(kernel.cull) if has_cull else None
+    ceiling: Any = translated(kernel.probe) if has_cull else None
     adds_mass = kernel.added is not None
-    added = translated(kernel.added) if adds_mass else None
+    added: Any = translated(kernel.added) if adds_mass else None
     resistance = resistance_of(kernel)
     surface_in = in_world if remembers else in_any_world
 
