@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 from mjgranular.engine.instances import sands_in
-from mjgranular.engine.readings import SandReadings
+from mjgranular.engine.sensor import SandReadings
 from mjgranular.law.validity import found_at
 from mjgranular.sand import SandSpec
 from mjgranular.sand.chosen import geoms_in_sand

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from mjgranular import Bed, HeightField, InputError, Plane, SandSpec, Surface, add_sand
-from mjgranular.engine.measures import SENSOR
+from mjgranular.engine.config import SENSOR
 from mjgranular.errors import GranularError, shown
 from mjgranular.relief.memory import as_memory
 from mjgranular.render.material import NOT_SHOWN, TILE, add_material

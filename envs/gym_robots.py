@@ -20,7 +20,10 @@ from mjgranular.envs.task import Start, State, Task
 ASSETS = Path(gymnasium.envs.mujoco.__file__).parent / "assets"
 
 _AS_THERE = {
-    "Description": "",
+    "Description": (
+        "Gymnasium's `{}-v5` on Quikrete medium sand. What is not said here is as there;\n"
+        "`mjgranular.envs.on_sand` says what sand changes."
+    ),
     "Action Space": "",
     "Observation Space": "",
     "Rewards": "`reward_forward` + `reward_survive` + `reward_ctrl`, as in `{}-v5`.",
@@ -96,9 +99,6 @@ class Robot(Task):
         """Return the positions that are observed."""
         return qpos[:, self.hidden if self.exclude_current_positions_from_observation else 0 :]
 
-    def mark(self, state: State) -> np.ndarray:
-        return state.qpos[:, :2].copy()
-
     def speed(self, before: np.ndarray, state: State) -> np.ndarray:
         """Return the speed along x [m/s]."""
         return (state.qpos[:, 0] - before[:, 0]) / self.dt
@@ -124,22 +124,18 @@ class Standing(Robot):
         """Return True if the robot stands, or is at its height, shape (n,)."""
         raise NotImplementedError
 
-    def stands(self, state: State) -> np.ndarray:
-        """Return `healthy`, computed once."""
-        return self.once(state, "healthy", self.healthy)
-
     def rewards(self, before: Any, action: np.ndarray, state: State) -> dict[str, np.ndarray]:
         terms = super().rewards(before, action, state)
         ctrl = terms.pop("reward_ctrl")  # the last to be added
         return terms | {
-            "reward_survive": self.stands(state) * self.healthy_reward,
+            "reward_survive": self.once(state, "healthy", self.healthy) * self.healthy_reward,
             "reward_ctrl": ctrl,
         }
 
     def terminated(self, state: State) -> np.ndarray:
         if not self.terminate_when_unhealthy:
             return np.zeros(len(state.qpos), bool)
-        return ~self.stands(state)
+        return ~self.once(state, "healthy", self.healthy)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -207,10 +203,6 @@ class Hopper(_Legged):
 class Walker2d(_Legged):
     """Walk on sand on two legs in a plane.
 
-    ## Description
-    Gymnasium's `Walker2d-v5` on Quikrete medium sand. What is not said here is as there;
-    `mjgranular.envs.on_sand` says what sand changes.
-
     ## Action Space
     `Box(-1, 1, (6,), float32)`: torques at thigh, leg and foot of both legs.
 
@@ -234,10 +226,6 @@ class Walker2d(_Legged):
 @dataclass(frozen=True, kw_only=True)
 class HalfCheetah(Robot):
     """Run on sand in a plane.
-
-    ## Description
-    Gymnasium's `HalfCheetah-v5` on Quikrete medium sand. What is not said here is as there;
-    `mjgranular.envs.on_sand` says what sand changes.
 
     ## Action Space
     `Box(-1, 1, (6,), float32)`: torques at thigh, shin and foot of both legs.
@@ -356,31 +344,23 @@ class _Spatial(Standing):
         """Return the position whose speed is rewarded, shape (n, 2)."""
         raise NotImplementedError
 
-    def here(self, state: State) -> np.ndarray:
-        """Return `where`, computed once."""
-        return self.once(state, "where", self.where)
-
     def mark(self, state: State) -> np.ndarray:
         return np.array(self.where(state))
 
     def speed(self, before: np.ndarray, state: State) -> np.ndarray:
-        return (self.here(state)[:, 0] - before[:, 0]) / self.dt
+        return (self.once(state, "where", self.where)[:, 0] - before[:, 0]) / self.dt
 
     def place(self, state: State) -> dict[str, np.ndarray]:
         return place_in_plane(state)
 
     def progress(self, before: Any, state: State) -> dict[str, np.ndarray]:
-        x, y = ((self.here(state) - before) / self.dt).T
+        x, y = ((self.once(state, "where", self.where) - before) / self.dt).T
         return {"x_velocity": x, "y_velocity": y}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Ant(_Spatial):
     """Run on sand on four legs.
-
-    ## Description
-    Gymnasium's `Ant-v5` on Quikrete medium sand. What is not said here is as there;
-    `mjgranular.envs.on_sand` says what sand changes.
 
     ## Action Space
     `Box(-1, 1, (8,), float32)`: torques at hips and ankles.
@@ -437,10 +417,6 @@ class Ant(_Spatial):
 class Humanoid(_Spatial):
     """Walk on sand on two legs.
 
-    ## Description
-    Gymnasium's `Humanoid-v5` on Quikrete medium sand. What is not said here is as there;
-    `mjgranular.envs.on_sand` says what sand changes.
-
     ## Action Space
     `Box(-0.4, 0.4, (17,), float32)`: torques at the joints.
 
@@ -487,17 +463,14 @@ class Humanoid(_Spatial):
         return np.stack(centres)[:, :2]
 
     def observe(self, state: State) -> np.ndarray:
-        parts = [self.seen(state.qpos), state.qvel]
-        count = len(state.qpos)
-        if self.include_cinert_in_observation:
-            parts.append(state.cinert[:, 1:].reshape(count, -1))
-        if self.include_cvel_in_observation:
-            parts.append(state.cvel[:, 1:].reshape(count, -1))
-        if self.include_qfrc_actuator_in_observation:
-            parts.append(state.qfrc_actuator[:, 6:])
-        if self.include_cfrc_ext_in_observation:
-            parts.append(state.cfrc_ext[:, 1:].reshape(count, -1))
-        return np.concatenate(parts, axis=1)
+        parts = (
+            (self.include_cinert_in_observation, state.cinert[:, 1:]),
+            (self.include_cvel_in_observation, state.cvel[:, 1:]),
+            (self.include_qfrc_actuator_in_observation, state.qfrc_actuator[:, 6:]),
+            (self.include_cfrc_ext_in_observation, state.cfrc_ext[:, 1:]),
+        )
+        chosen = [part.reshape(len(part), -1) for included, part in parts if included]
+        return np.concatenate([self.seen(state.qpos), state.qvel, *chosen], axis=1)
 
     def rewards(self, before: Any, action: np.ndarray, state: State) -> dict[str, np.ndarray]:
         forces = state.cfrc_ext.reshape(len(state.qpos), -1)

@@ -96,9 +96,6 @@ class Hexapod(Task):
     def observe(self, state: State) -> np.ndarray:
         return np.concatenate([state.qpos[:, 2:], state.qvel], axis=1)
 
-    def mark(self, state: State) -> np.ndarray:
-        return state.qpos[:, :2].copy()
-
     def rewards(self, before: Any, action: np.ndarray, state: State) -> dict[str, np.ndarray]:
         ahead = (state.qpos[:, 0] - before[:, 0]) / self.dt
         effort = np.square(np.clip(action, -1.0, 1.0)).sum(axis=1)

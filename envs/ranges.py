@@ -90,6 +90,30 @@ class SandRanges:
                 raise UnknownNameError("range of randomise", name, known)
         return cls(**table)
 
+    @staticmethod
+    def of_reset(ranges: "SandRanges | None", options: Any) -> "SandRanges | None":
+        """Return the ranges for one episode from options of a reset; a number is a fixed value."""
+        if not isinstance(options, Mapping | None):
+            raise InputError(f"options of reset must be a dict by name, not {kind_of(options)}")
+        if not options:
+            return ranges
+        names = [field.name for field in fields(SandRanges)]
+        for name in options:
+            if name not in names:
+                raise UnknownNameError("option of reset", name, names)
+        if ranges is None:
+            raise InputError(
+                f"reset: {', '.join(options)} can be set if the environment is made with "
+                "randomise={...}, for example randomise={}"
+            )
+        given = {
+            name: (value, value) if isinstance(value, Real) else value
+            for name, value in options.items()
+        }
+        wanted = replace(ranges, **given)
+        wanted.check_within(ranges, "reset")
+        return wanted
+
     def check_within(self, other: "SandRanges", origin: str) -> None:
         """Check that a curriculum or a reset names only sand that the model has."""
         for key in _NAMED:
@@ -100,6 +124,45 @@ class SandRanges:
                         f"{key} of {origin} have {name!r}, which randomise does not: it has "
                         f"{', '.join(there) or 'none'}"
                     )
+
+    def draw(
+        self, choices: Sequence["Choice"], random: np.random.Generator, *, span: float = 0.0
+    ) -> "Sample":
+        """Sample a sand; every call draws the same number of values.
+
+        `choices` are the sands that the model has; robots start on dunes at x within plus or minus
+        `span` [m].
+        """
+        fitting = [
+            number
+            for number, choice in enumerate(choices)
+            if (not self.media or choice.medium in self.media)
+            and (not self.laws or choice.law in self.laws)
+            and (not self.surfaces or choice.surface in self.surfaces)
+        ]
+        number = fitting[int(random.integers(len(fitting)))]
+        numbers = {key: float(random.uniform(*getattr(self, key))) for key in _DRAWN}
+        place = float(random.uniform(-span, span))
+        return Sample(number, **numbers, place=place if choices[number].surface == "dunes" else 0.0)
+
+    def in_episode(
+        self, curriculum: Callable[[int], "SandRanges"] | None, episode: int
+    ) -> "SandRanges":
+        """Return the ranges for an episode: from the curriculum, or unchanged."""
+        if curriculum is None:
+            return self
+        given = curriculum(episode)
+        if not isinstance(given, SandRanges):
+            raise InputError(f"the curriculum must give a SandRanges, not {given!r}")
+        given.check_within(self, "the curriculum")
+        for name in _DRAWN:
+            (low, high), (least, most) = getattr(given, name), getattr(self, name)
+            if low < least or high > most:
+                raise InputError(
+                    f"{name} of the curriculum must be within that of randomise, {(least, most)}, "
+                    f"not {(low, high)}"
+                )
+        return given
 
 
 def _checked_name(key: str, given: Any) -> str:
@@ -158,149 +221,63 @@ def ranges_of(ranges: Any, curriculum: Any, memory: Any) -> SandRanges | None:
 
 @dataclass(frozen=True)
 class Choice:
-    """One of the sands in a model: requested names of medium, law and surface."""
+    """One of the sands in a model: requested names of medium, law and surface; the sand."""
 
     medium: str
     law: str
     surface: str
+    sand: SandSpec
 
 
 @dataclass(frozen=True)
 class Sample:
     """The sand of one episode."""
 
-    number: int = 0  # index of the active sand in the model
+    active: int = 0  # index of the active sand in the model
     strength: float = 1.0  # factor on static resistance
     density: float = 1.0  # factor on rate-dependent resistance
     slope: float = 0.0  # slope of the ground [rad]
     place: float = 0.0  # x at which the robot starts [m]; 0 without dunes
 
-
-def draw(
-    ranges: SandRanges,
-    choices: Sequence[Choice],
-    random: np.random.Generator,
-    *,
-    span: float = 0.0,
-) -> Sample:
-    """Sample a sand; every call draws the same number of values.
-
-    `choices` are the sands that the model has; robots start on dunes at x within plus or minus
-    `span` [m].
-    """
-    fitting = [
-        number
-        for number, choice in enumerate(choices)
-        if (not ranges.media or choice.medium in ranges.media)
-        and (not ranges.laws or choice.law in ranges.laws)
-        and (not ranges.surfaces or choice.surface in ranges.surfaces)
-    ]
-    number = fitting[int(random.integers(len(fitting)))]
-    numbers = {key: float(random.uniform(*getattr(ranges, key))) for key in _DRAWN}
-    place = float(random.uniform(-span, span))
-    return Sample(number, **numbers, place=place if choices[number].surface == "dunes" else 0.0)
+    def lay(
+        self,
+        model: mujoco.MjModel,
+        figures: Figures,
+        plugin_state: np.ndarray,
+        gravity: np.ndarray,
+    ) -> None:
+        """Apply it to a simulation: write to its plugin state and its gravity."""
+        factors = {"strength": self.strength, "density": self.density}
+        for number, name in enumerate(figures.sands):
+            tune(model, plugin_state, name, active=float(number == self.active), **factors)
+        down = figures.gravity
+        gravity[:] = -down * math.sin(self.slope), 0.0, -down * math.cos(self.slope)
 
 
-def lay(
-    sample: Sample,
-    model: mujoco.MjModel,
-    figures: Figures,
-    plugin_state: np.ndarray,
-    gravity: np.ndarray,
-) -> None:
-    """Apply the sampled sand to a simulation: write to its plugin state and its gravity."""
-    factors = {"strength": sample.strength, "density": sample.density}
-    for number, name in enumerate(figures.sands):
-        tune(model, plugin_state, name, active=float(number == sample.number), **factors)
-    strength, slope = figures.gravity, sample.slope
-    gravity[:] = -strength * math.sin(slope), 0.0, -strength * math.cos(slope)
-
-
-def next_ranges(
-    ranges: SandRanges, curriculum: Callable[[int], SandRanges] | None, episode: int
-) -> SandRanges:
-    """Return the ranges for an episode: from the curriculum, or unchanged."""
-    if curriculum is None:
-        return ranges
-    given = curriculum(episode)
-    if not isinstance(given, SandRanges):
-        raise InputError(f"the curriculum must give a SandRanges, not {given!r}")
-    given.check_within(ranges, "the curriculum")
-    for name in _DRAWN:
-        (low, high), (least, most) = getattr(given, name), getattr(ranges, name)
-        if low < least or high > most:
-            raise InputError(
-                f"{name} of the curriculum must be within that of randomise, {(least, most)}, not "
-                f"{(low, high)}"
-            )
-    return given
-
-
-def options_of_reset(options: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Return a copy of the options of a reset, after a check that they are a dictionary."""
-    if not isinstance(options, Mapping | None):
-        raise InputError(f"options of reset must be a dict by name, not {kind_of(options)}")
-    return dict(options or {})
-
-
-def ranges_of_reset(ranges: SandRanges | None, options: Mapping[str, Any]) -> SandRanges | None:
-    """Return the ranges for one episode from the options of a reset; a number is a fixed value."""
-    if not options:
-        return ranges
-    names = [field.name for field in fields(SandRanges)]
-    for name in options:
-        if name not in names:
-            raise UnknownNameError("option of reset", name, names)
-    if ranges is None:
-        raise InputError(
-            f"reset: {', '.join(options)} can be set if the environment is made with "
-            "randomise={...}, for example randomise={}"
-        )
-    given = {
-        name: (value, value) if isinstance(value, Real) else value
-        for name, value in options.items()
-    }
-    wanted = replace(ranges, **given)
-    wanted.check_within(ranges, "reset")
-    return wanted
-
-
-def told(
-    choices: Sequence[Choice],
-    active: np.ndarray,
-    strength: np.ndarray,
-    density: np.ndarray,
-    slope: np.ndarray,
-) -> dict[str, np.ndarray]:
-    """Return the entries of `info` on the sampled sand of n simulations."""
-    info = {
-        "sand/strength": strength.copy(),
-        "sand/density": density.copy(),
-        "sand/slope": slope.copy(),
-    }
+def told(choices: Sequence[Choice], state: Any) -> dict[str, np.ndarray]:
+    """Return the entries of `info` on the sampled sand of the simulations of a state."""
+    info = {f"sand/{name}": getattr(state, name).copy() for name in _DRAWN}
     for key in ("medium", "law", "surface"):
         names = [getattr(choice, key) for choice in choices]
-        info[f"sand/{key}"] = np.array(names, object)[active]
+        info[f"sand/{key}"] = np.array(names, object)[state.active]
     return info
 
 
-def sands_of(
-    ranges: SandRanges | None, base: SandSpec, dunes: Any
-) -> tuple[list[SandSpec], list[Choice]]:
-    """Return the sands that a model needs for these ranges, and the choice that each of them is."""
-    sands, choices = [], []
+def choices_of(ranges: SandRanges | None, base: SandSpec, dunes: Any) -> list[Choice]:
+    """Return the sands that a model needs for these ranges."""
+    choices = []
     for medium in (ranges and ranges.media) or (base.medium,):
         for law in (ranges and ranges.laws) or (base.law,):
             for name in (ranges and ranges.surfaces) or ("plane",):
                 surface = dunes if name == "dunes" else base.surface
-                sands.append(combined(base, {"medium": medium, "law": law, "surface": surface}))
+                sand = combined(base, {"medium": medium, "law": law, "surface": surface})
                 if medium is None and law is not None:
                     medium = medium_for(law)
                 own = law
                 if law is None and medium is not None:
                     own = get_medium(medium).default_law
-                choices.append(Choice(_name(medium), _name(own), name))
-    return sands, choices
+                choices.append(Choice(_name(medium), _name(own), name, sand))
+    return choices
 
 
 def _name(thing: Any) -> str:

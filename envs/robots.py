@@ -3,6 +3,7 @@
 import inspect
 from collections.abc import Callable
 from functools import cache, partial
+from types import SimpleNamespace
 from typing import Any
 
 import gymnasium as gym
@@ -14,20 +15,11 @@ from gymnasium.envs.registration import EnvSpec
 from mjgranular._util.checks import check_count
 from mjgranular.engine import rne_post_constraint
 from mjgranular.engine.instances import sands_in
-from mjgranular.engine.readings import SandReadings
+from mjgranular.engine.sensor import SandReadings
 from mjgranular.envs.figures import Figures
 from mjgranular.envs.ground import converted_errors, put_on_sand, quiet
 from mjgranular.envs.known import creator_of, find_spec
-from mjgranular.envs.ranges import (
-    Sample,
-    SandRanges,
-    draw,
-    lay,
-    next_ranges,
-    ranges_of,
-    sands_of,
-    told,
-)
+from mjgranular.envs.ranges import Sample, SandRanges, choices_of, ranges_of, told
 from mjgranular.envs.single import first_of
 from mjgranular.errors import InputError, UnknownArgumentError, UnknownNameError
 from mjgranular.sand.spec import SAND_FIELDS, SandSpec, combined
@@ -133,7 +125,8 @@ class OnSand(MujocoEnv):
                 "on_sand draws no dunes, because Gymnasium's robots start at their own height: "
                 "take an environment of mjgranular's, or a surface of the model's own"
             )
-        self.sands, self._choices = sands_of(self._ranges, SandSpec(**base), None)
+        self._choices = choices_of(self._ranges, SandSpec(**base), None)
+        self.sands = [choice.sand for choice in self._choices]
         self._drawn, self._episodes = Sample(), 0
         mode, modes = options.get("render_mode"), self.metadata["render_modes"]
         if mode is not None and mode not in modes:
@@ -165,10 +158,10 @@ class OnSand(MujocoEnv):
 
     def reset_model(self) -> Any:
         if self._ranges is not None:
-            ranges = next_ranges(self._ranges, self._curriculum, self._episodes)
-            self._drawn = draw(ranges, self._choices, self.np_random)
+            ranges = self._ranges.in_episode(self._curriculum, self._episodes)
+            self._drawn = ranges.draw(self._choices, self.np_random)
             state, gravity = self.data.plugin_state, self.model.opt.gravity
-            lay(self._drawn, self.model, self._figures, state, gravity)
+            self._drawn.lay(self.model, self._figures, state, gravity)
         self._episodes += 1
         return super().reset_model()
 
@@ -181,12 +174,10 @@ class OnSand(MujocoEnv):
 
     def sand_figures(self) -> dict[str, Any]:
         """Return the current metrics of the sand; see `Figures.read`."""
-        drawn = self._drawn
-        active, slope = np.array([drawn.number]), np.array([drawn.slope])
-        read = self._figures.read(self._readings.read(self.data), active, slope)
+        drawn = SimpleNamespace(**{k: np.array([value]) for k, value in vars(self._drawn).items()})
+        read = self._figures.read(self._readings.read(self.data), drawn.active, drawn.slope)
         if self._ranges is not None:
-            strength, density = np.array([drawn.strength]), np.array([drawn.density])
-            read |= told(self._choices, active, strength, density, slope)
+            read |= told(self._choices, drawn)
         return first_of(read)
 
 

@@ -51,7 +51,6 @@ class RslVecEnv(VecEnv):
         self.episode_length_buf.zero_()
 
     def get_observations(self) -> TensorDict:
-        """Return the current observations, shape (num_envs, k)."""
         return self._observations
 
     def step(

@@ -60,11 +60,9 @@ class SandVecEnv(VecEnv):
         return self._next_seeds
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Store the actions."""
         self._actions = actions
 
     def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
-        """Advance all simulations by one step."""
         if self._actions is None:
             raise InputError("step_async comes before step_wait")
         observations, rewards, terminated, truncated, info = self.batch.step(self._actions)
@@ -89,11 +87,9 @@ class SandVecEnv(VecEnv):
         return observations, rewards.astype(np.float32), done, infos
 
     def close(self) -> None:
-        """Release rendering resources."""
         self.batch.close()
 
     def get_images(self) -> Sequence[np.ndarray | None]:
-        """Render an image of each simulation."""
         frames = self.batch.render()
         return [None] * self.num_envs if frames is None else list(frames)
 

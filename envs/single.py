@@ -129,7 +129,6 @@ class SandEnv(gym.Env[np.ndarray, np.ndarray]):
         return self.cameras.look(self.model, self.data, int(self._state.active[0]))
 
     def close(self) -> None:
-        """Release rendering resources."""
         self.cameras.close()
 
 

@@ -28,19 +28,7 @@ from mjgranular._util.registry import Registry
 from mjgranular.envs.dunes import DUNES, Dunes, add_dunes
 from mjgranular.envs.figures import Figures
 from mjgranular.envs.ground import put_on_sand
-from mjgranular.envs.ranges import (
-    Choice,
-    Sample,
-    SandRanges,
-    draw,
-    lay,
-    next_ranges,
-    options_of_reset,
-    ranges_of,
-    ranges_of_reset,
-    sands_of,
-    told,
-)
+from mjgranular.envs.ranges import Choice, Sample, SandRanges, choices_of, ranges_of, told
 from mjgranular.errors import shown
 from mjgranular.sand.spec import SAND_FIELDS
 from mjgranular.surface.choice import surface_of
@@ -151,8 +139,8 @@ class Task(SandSpec, ABC):
         """
 
     def mark(self, state: State) -> Any:
-        """Copy what `rewards` needs from the state before a step."""
-        return None
+        """Copy what `rewards` needs from the state before a step: the first two positions."""
+        return state.qpos[:, :2].copy()
 
     def total(self, terms: dict[str, np.ndarray]) -> np.ndarray:
         """Return the reward from its terms, shape (n,)."""
@@ -185,18 +173,14 @@ class Task(SandSpec, ABC):
     # Built from it, once.
 
     @cached_property
-    def _sands(self) -> tuple[list[SandSpec], list[Choice]]:
-        return sands_of(self.randomise, self, HeightField(DUNES))
+    def choices(self) -> Sequence[Choice]:
+        """The sands of the model."""
+        return choices_of(self.randomise, self, HeightField(DUNES))
 
     @property
     def sands(self) -> Sequence[SandSpec]:
         """The sands of the model, as specified."""
-        return self._sands[0]
-
-    @property
-    def choices(self) -> Sequence[Choice]:
-        """The sands in the model, by names."""
-        return self._sands[1]
+        return [choice.sand for choice in self.choices]
 
     @cached_property
     def _built(self) -> tuple[mujoco.MjModel, Figures]:
@@ -274,7 +258,7 @@ class Task(SandSpec, ABC):
 
     def ranges(self, options: Mapping[str, Any] | None) -> SandRanges | None:
         """Return the ranges for one episode from the options of a reset: `randomise` by default."""
-        return ranges_of_reset(self.randomise, options_of_reset(options))
+        return SandRanges.of_reset(self.randomise, options)
 
     def sample(
         self, random: np.random.Generator, episode: int, ranges: SandRanges | None
@@ -286,8 +270,8 @@ class Task(SandSpec, ABC):
         if ranges is None:
             return None
         if ranges is self.randomise:
-            ranges = next_ranges(ranges, self.curriculum, episode)
-        return draw(ranges, self.choices, random, span=self.dunes.wavelength)
+            ranges = ranges.in_episode(self.curriculum, episode)
+        return ranges.draw(self.choices, random, span=self.dunes.wavelength)
 
     def lay(
         self,
@@ -308,13 +292,13 @@ class Task(SandSpec, ABC):
         for name, value in start.numbers.items():
             numbers[name][:] = value
         if sample is not None:
-            lay(sample, self.model, self.figures, plugin_state, numbers["opt.gravity"])
-            state.active[row], state.slope[row] = sample.number, sample.slope
-            state.strength[row], state.density[row] = sample.strength, sample.density
+            sample.lay(self.model, self.figures, plugin_state, numbers["opt.gravity"])
+            for name in ("active", "strength", "density", "slope"):
+                getattr(state, name)[row] = getattr(sample, name)
 
     def begin(self, random: np.random.Generator, sample: Sample | None) -> Start:
         """Return the start of an episode on the sampled sand; None for a fixed sand."""
-        number, place = (0, 0.0) if sample is None else (sample.number, sample.place)
+        number, place = (0, 0.0) if sample is None else (sample.active, sample.place)
         ground = self.ground(number) or (lambda x, y: 0.0)
         start = self.start(random, lambda x, y: ground(x + place, y))
         start.qpos[0] += place  # x comes first in all our models
@@ -349,7 +333,7 @@ class Task(SandSpec, ABC):
         info = self.place(state)
         info |= self.figures.read(state.sensordata, state.active, state.slope)
         if self.randomise is not None:
-            info |= told(self.choices, state.active, state.strength, state.density, state.slope)
+            info |= told(self.choices, state)
         return info
 
     def options(self) -> dict[str, Any]:

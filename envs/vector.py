@@ -1,5 +1,6 @@
 """Many simulations of a task, in threads or in MuJoCo Warp, as Gymnasium vector environments."""
 
+from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
@@ -12,7 +13,7 @@ from mujoco.batch import Batch
 
 from mjgranular._util.checks import check_count, kind_of
 from mjgranular.envs.cameras import RENDER_MODES, Cameras
-from mjgranular.envs.ranges import SandRanges, options_of_reset
+from mjgranular.envs.ranges import SandRanges
 from mjgranular.envs.task import State, Task, check_actions, get_task
 from mjgranular.errors import InputError, UnknownNameError
 
@@ -128,8 +129,8 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             options: `reset_mask`, a bool for each simulation, resets some; others are those of
                 `SandEnv.reset`, for the episodes that begin.
         """
-        others = options_of_reset(options)
-        mask = others.pop("reset_mask", None)
+        others = dict(options) if isinstance(options, Mapping) else options
+        mask = others.pop("reset_mask", None) if isinstance(others, dict) else None
         ranges = self.task.ranges(others)
         if seed is None:
             seeds: list[int | None] = [None] * self.num_envs
@@ -212,7 +213,6 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         return tuple(frames)
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Release rendering resources."""
         if "cameras" in vars(self):  # missing if the constructor raised
             self.cameras.close()
 

@@ -306,11 +306,6 @@ class Go1Velocity(Task):
         return np.array([self.model.joint(joint).qposadr[0] for joint in self.joints()])
 
     @cached_property
-    def _rates(self) -> np.ndarray:
-        """Indices of `joints()` in `qvel`, shape (12,)."""
-        return np.array([self.model.joint(joint).dofadr[0] for joint in self.joints()])
-
-    @cached_property
     def _pairs(self) -> np.ndarray:
         """Signs of the legs: those of one sign swing together."""
         return np.array([*self.feet.values()])
@@ -419,7 +414,8 @@ class Go1Velocity(Task):
         applied = np.clip(action, -1.0, 1.0).astype(float)
         if self.history:
             past = state.userdata[:, _PAST]
-            past[:] = np.concatenate([self._sensed(state), past[:, :-_SENSED]], axis=1)
+            sensed = self.once(state, "sensed", self._sense)
+            past[:] = np.concatenate([sensed, past[:, :-_SENSED]], axis=1)
         state.userdata[:, _ACTION] = applied
         state.userdata[:, _STEP] += 1
         self._push(state)
@@ -485,14 +481,8 @@ class Go1Velocity(Task):
         return np.where(walks[:, None], clock, 0.0)
 
     def observe(self, state: State) -> np.ndarray:
-        past = state.userdata[:, _PAST]
-        return np.concatenate(
-            [self._sensed(state), self.command(state), self._clock(state), past], axis=1
-        )
-
-    def _sensed(self, state: State) -> np.ndarray:
-        """Return `_sense`, computed once for the observation and for the past of the next."""
-        return self.once(state, "sensed", self._sense)
+        sensed, past = self.once(state, "sensed", self._sense), state.userdata[:, _PAST]
+        return np.concatenate([sensed, self.command(state), self._clock(state), past], axis=1)
 
     def _sense(self, state: State) -> np.ndarray:
         """Return what the robot measures, and its last action, shape (n, _SENSED)."""
@@ -503,7 +493,7 @@ class Go1Velocity(Task):
                 np.stack(_to_body(state.qpos, gravity), axis=1),
                 state.qvel[:, 3:6],
                 state.qpos[:, self._angles] - self._stance,
-                state.qvel[:, self._rates],
+                state.qvel[:, self._angles - 1],  # a free joint has a number less there
                 state.userdata[:, _ACTION],
             ],
             axis=1,
@@ -521,7 +511,7 @@ class Go1Velocity(Task):
             stands[:, None], needed / 3, needed
         )
         speed = np.sqrt(np.square((feet - feet_before)[:, :, :2] / self.dt).sum(axis=2))
-        height = self._heights(state)
+        height = self.once(state, "heights", self._heights)
         lift = self.gait.swing * self._clock(state)[:, :1] * self._pairs
         stray = np.where(lift > 0.0, height - lift, np.maximum(height, 0.0))
         change = state.userdata[:, _ACTION] - last
@@ -557,7 +547,8 @@ class Go1Velocity(Task):
         if self.privileged:
             drawn = (state.strength, state.density, state.slope)
             motors = state.userdata[:, [_STRENGTH, _DELAY]]
-            known = (self.velocity(state), self._heights(state), info["sand/force"])
+            heights = self.once(state, "heights", self._heights)
+            known = (self.velocity(state), heights, info["sand/force"])
             info["privileged"] = np.concatenate([*known, np.stack(drawn, axis=1), motors], axis=1)
         return info
 
@@ -579,9 +570,6 @@ class Go1Velocity(Task):
 
     def _heights(self, state: State) -> np.ndarray:
         """Return heights of the soles over the untouched surface [m], shape (n, 4)."""
-        return self.once(state, "heights", self._find_heights)
-
-    def _find_heights(self, state: State) -> np.ndarray:
         feet = state.site_xpos.take(self._feet, axis=1)
         return feet[:, :, 2] - self._radius - self._ground(state, feet)
 

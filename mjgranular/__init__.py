@@ -9,15 +9,15 @@ body.
 """
 
 # First, because MuJoCo reads it once, when it is imported: how to draw.
-from mjgranular._util import headless as _headless
+from mjgranular._util import display as _display
 
 # isort: split
 
 from contextlib import suppress as _suppress
 from importlib import import_module as _import_module
+from pathlib import Path as _Path
 from sys import modules as _modules
 
-from mjgranular._util.checkout import add_checkout_folders as _add_checkout_folders
 from mjgranular._util.notebook import show as show
 from mjgranular._version import __version__ as __version__
 from mjgranular.engine import add_sand as add_sand
@@ -59,7 +59,11 @@ from mjgranular.surface import HeightField as HeightField
 from mjgranular.surface import Plane as Plane
 from mjgranular.surface import Surface as Surface
 
-_add_checkout_folders(__path__)
+# `python -m` and `python -c` put the current folder first on the path: in a checkout this package
+# then hides the installed one, but lacks `models` and `envs`, which setup.py maps into it.
+_package = _Path(__file__).resolve().parent
+if not (_package / "models").is_dir() and (_package.parent / "setup.py").is_file():
+    __path__.append(str(_package.parent))
 
 if "gymnasium" in _modules:  # register the environments
     with _suppress(ImportError):  # of an extra, or of a release that is too old

@@ -1,9 +1,11 @@
 """A six-legged robot with two joints in each leg."""
 
+from typing import Any
+
 import mujoco
 import numpy as np
 
-from mjgranular.models.link import LEGGED, add_servo, robot_scene
+from mjgranular.models.link import LEGGED, add_part, add_servo, robot_scene
 
 LEGS = ("front_left", "middle_left", "rear_left", "front_right", "middle_right", "rear_right")
 """Names of the legs, in the order of their joints and servos."""
@@ -47,15 +49,8 @@ class Hexapod:
         spec = robot_scene("hexapod", timestep, LEGGED)
         torso = spec.worldbody.add_body(name="torso", pos=[0, 0, self.standing])
         torso.add_freejoint(name="root")
-        torso.add_geom(
-            name="torso",
-            type=mujoco.mjtGeom.mjGEOM_BOX,
-            size=[self.length / 2, self.width / 2, self.height / 2],
-            mass=self.torso_mass,
-            material="shell",
-            contype=0,
-            conaffinity=1,
-        )
+        halves = [self.length / 2, self.width / 2, self.height / 2]
+        add_part(torso, "torso", "box", size=halves, mass=self.torso_mass, material="shell")
         for number, leg in enumerate(LEGS):
             self._add_leg(spec, torso, leg, along=1 - number % 3, side=1 if number < 3 else -1)
         return spec
@@ -84,25 +79,10 @@ class Hexapod:
                 damping=[self.torque / self.speed, 0, 0],
                 armature=self.armature,
             )
-            geom = body.add_geom(
-                name=f"{leg}_{name}",
-                type=mujoco.mjtGeom.mjGEOM_CAPSULE,
-                size=[radius, 0, 0],
-                mass=share * self.leg_mass,
-                material="leg",
-                contype=0,
-                conaffinity=1,
-            )
+            look: dict[str, Any] = {"mass": share * self.leg_mass, "material": "leg"}
+            geom = add_part(body, f"{leg}_{name}", "capsule", size=[radius, 0, 0], **look)
             geom.fromto = [0, 0, 0, *end]
             if body is knee:
-                body.add_geom(
-                    name=f"{leg}_foot",
-                    type=mujoco.mjtGeom.mjGEOM_SPHERE,
-                    size=[self.foot, 0, 0],
-                    pos=end,
-                    mass=_FOOT_MASS,
-                    material="leg",
-                    contype=0,
-                    conaffinity=1,
-                )
+                look["mass"] = _FOOT_MASS
+                add_part(body, f"{leg}_foot", "sphere", size=[self.foot, 0, 0], pos=end, **look)
             add_servo(spec, f"{leg}_{name}", self.stiffness, limit, self.torque)

@@ -9,7 +9,7 @@ import numpy as np
 
 from mjgranular._util.checks import is_finite
 from mjgranular.errors import InputError
-from mjgranular.models.link import LEGGED, robot_scene
+from mjgranular.models.link import LEGGED, add_part, robot_scene
 
 HIPS = (-0.05, 0.0, 0.05)
 """Positions of the hips along the body [m]; not published, chosen from the drawing of Li et al."""
@@ -74,28 +74,14 @@ class LiRobot:
         body.add_joint(name="x", type=slide, axis=[1, 0, 0])
         body.add_joint(name="z", type=slide, axis=[0, 0, 1])
         body.add_joint(name="pitch", type=hinge, axis=[0, 1, 0])
-        body.add_geom(
-            name="belly",
-            type=mujoco.mjtGeom.mjGEOM_BOX,
-            size=[self.length / 2, self.width / 2, _TALL / 2],
-            material="shell",
-            contype=0,
-            conaffinity=1,
-        )
+        halves = [self.length / 2, self.width / 2, _TALL / 2]
+        add_part(body, "belly", "box", size=halves, material="shell")
         vertices, faces = self._leg()
         spec.add_mesh(name="leg", uservert=vertices.ravel(), userface=faces.ravel())
         for name, x, side in self._legs():
             leg = body.add_body(name=name, pos=[x, side * _APART, -_TALL / 2])
             leg.add_joint(name=name, type=hinge, axis=[0, 1, 0], armature=_ROTOR)
-            leg.add_geom(
-                name=name,
-                type=mujoco.mjtGeom.mjGEOM_MESH,
-                meshname="leg",
-                mass=_LEG_MASS,
-                material="leg",
-                contype=0,
-                conaffinity=1,
-            )
+            add_part(leg, name, "mesh", meshname="leg", mass=_LEG_MASS, material="leg")
             motor = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
             motor.set_to_velocity(kv=_GAIN)
         return spec

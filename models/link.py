@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -149,6 +150,12 @@ def offset(point: tuple[float, float], q: float) -> tuple[float, float]:
     """Return the vector from C to a point of the body at an angle q about -y, x and z [m]."""
     s, c = math.sin(q), math.cos(q)
     return point[0] * c - point[1] * s, point[0] * s + point[1] * c
+
+
+def add_part(body: mujoco.MjsBody, name: str, shape: str, **fields: Any) -> mujoco.MjsGeom:
+    """Add a geom to a robot, parts of which do not collide with each other."""
+    kind = getattr(mujoco.mjtGeom, f"mjGEOM_{shape.upper()}")
+    return body.add_geom(name=name, type=kind, contype=0, conaffinity=1, **fields)
 
 
 def add_servo(

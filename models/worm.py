@@ -9,7 +9,7 @@ import numpy as np
 
 from mjgranular._util.checks import check_count, is_finite
 from mjgranular.errors import InputError
-from mjgranular.models.link import DARK, Link, add_servo, robot_scene
+from mjgranular.models.link import DARK, Link, add_part, add_servo, robot_scene
 
 
 @dataclass(frozen=True)
@@ -141,11 +141,5 @@ class Worm:
         body.explicitinertial = True
         body.ipos = [0, 0, 0]  # unset, it would be taken from the body's position
         body.mass, body.inertia = mass, [across, across, mass * self.width**2 / 8]
-        body.add_geom(
-            name=f"link{index}",
-            type=mujoco.mjtGeom.mjGEOM_CAPSULE,
-            size=[self.width / 2, self.step / 2, 0],
-            material="skin" if index else "head",
-            contype=0,
-            conaffinity=1,
-        )
+        size, material = [self.width / 2, self.step / 2, 0], "skin" if index else "head"
+        add_part(body, f"link{index}", "capsule", size=size, material=material)

@@ -12,27 +12,17 @@ import numpy as np
 from mjgranular.errors import InputError, shown
 
 _LONGEST = 4096  # characters of a string
-
-
-def check_model(model: Any, who: str) -> None:
-    """Check that `model` is a compiled model."""
-    meant = "MjModel.from_xml_path(...), spec.compile() or data.model"
-    check_kind(model, mujoco.MjModel, who, meant)
-
-
-def check_spec(spec: Any, who: str) -> None:
-    """Check that `spec` is an `MjSpec`."""
-    check_kind(spec, mujoco.MjSpec, who, "MjSpec.from_file(...), or Sand for a compiled model")
-
-
-def check_data(data: Any, who: str) -> None:
-    """Check that `data` is an `MjData`."""
-    check_kind(data, mujoco.MjData, who, "MjData(model)")
+_MEANT = {
+    mujoco.MjModel: "MjModel.from_xml_path(...), spec.compile() or data.model",
+    mujoco.MjSpec: "MjSpec.from_file(...), or Sand for a compiled model",
+    mujoco.MjData: "MjData(model)",
+}
 
 
 def check_kind(value: Any, kind: type, who: str, meant: str = "") -> None:
     """Check that a value is an instance of a class; `meant` says how to make one."""
     if not isinstance(value, kind):
+        meant = meant or _MEANT.get(kind, "")
         how = f"; use {meant}" if meant else ""
         raise InputError(f"{who} takes {_one(kind.__name__)}, not {kind_of(value)}{how}")
 

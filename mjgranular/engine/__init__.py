@@ -8,8 +8,8 @@ drawn, also by Python. `tuning` is sand with its own state. With `pickles`, pick
 mjgranular when they are loaded.
 """
 
+from mjgranular.engine.config import NAME as NAME
 from mjgranular.engine.external import rne_post_constraint as rne_post_constraint
-from mjgranular.engine.instances import NAME as NAME
 from mjgranular.engine.instances import bodies_of_sands
 from mjgranular.engine.instances import relief_of as relief_of
 from mjgranular.engine.pickles import register as register_pickles

@@ -199,6 +199,10 @@ NO_PASSIVE = (
     "with springs and dampers both disabled (opt.disableflags) MuJoCo computes no passive forces, "
     "and sand inside mj_step is one of them: enable one of the two"
 )
+OTHER_SHAPE = (
+    "the height field that is the sand has other rows or columns in this model than in that of the "
+    "mjData: make an mjData for each model"
+)
 
 REFUSAL_SIZE = 480
 """Bytes of a message, including its end: MuJoCo cuts at 500."""
@@ -293,6 +297,6 @@ def senses_forces(model: mujoco.MjModel) -> bool:
 
 
 def refusals(scheme: Scheme) -> np.ndarray:
-    """Return a message of `REFUSAL_SIZE` bytes for each status in `REFUSED`, and `NO_PASSIVE`."""
-    texts = [*(scheme.refusal(status) for status in REFUSED), NO_PASSIVE]
+    """Return messages of `REFUSAL_SIZE` bytes: of `REFUSED`, then `NO_PASSIVE`, `OTHER_SHAPE`."""
+    texts = [*(scheme.refusal(status) for status in REFUSED), NO_PASSIVE, OTHER_SHAPE]
     return np.array([f"mjgranular: {text}".encode() for text in texts], f"S{REFUSAL_SIZE}")

@@ -1,12 +1,12 @@
 """Callbacks of the engine: compiled, without Python, without the GIL, without allocation."""
 
-import ctypes
 import math
 from functools import partial
 from typing import Any
 
 import numpy as np
 
+from mjgranular.engine import tuning
 from mjgranular.engine.block import (
     HEADER_DTYPE,
     POINTER_IN_MODEL,
@@ -20,39 +20,13 @@ from mjgranular.engine.external import ASLEEP, update_sensors
 from mjgranular.engine.handles import ROW_COUNT, find_block, find_row, row_records, rows_address
 from mjgranular.engine.sensor import compute_sensors
 from mjgranular.engine.trampolines import FAIL, FORGET, UNPREPARED
-from mjgranular.engine.tuning import (
-    ACTIVE,
-    DENSITY,
-    HEIGHT,
-    INITIAL,
-    STATE_SIZE,
-    STRENGTH,
-    TUNING_DTYPE,
-)
+from mjgranular.kernel import memory
 from mjgranular.kernel.compiled import compiled
-from mjgranular.kernel.intrinsics import address_of, c_function, call_step, publish
-from mjgranular.kernel.memory import (
-    BESIDE,
-    CDOF,
-    DOF_PARENT,
-    NBODY,
-    NV,
-    OFF,
-    SAMPLING,
-    SCENE,
-    SUBTREE_COM,
-    UPDATE,
-    XIPOS,
-    field,
-    floats,
-    ints,
-    longs,
-    records,
-    row_of,
-    table_at,
-)
+from mjgranular.kernel.intrinsics import c_function, call_step
+from mjgranular.kernel.memory import field, floats, ints, longs, records, row_of, table_at
 from mjgranular.kernel.options import has_passive_forces, options_of
 from mjgranular.kernel.records import bodies_of, contacts_of
+from mjgranular.kernel.vector import cross, read_vector
 from mjgranular.scheme.status import BAD_TIMESTEP, REFUSED
 
 Callbacks = dict[str, tuple[Any, str]]
@@ -62,7 +36,7 @@ _SENSOR = 1 << 1  # mjPLUGIN_SENSOR
 _BEGIN = HEADER_DTYPE.itemsize
 _APPLIED = int(HEADER_DTYPE.fields["applied"][1])  # pyright: ignore[reportOptionalSubscript]
 
-_tunings = records(TUNING_DTYPE)
+_tunings = records(tuning.TUNING_DTYPE)
 _states, _addresses = field("mjData", "plugin_state"), field("mjModel", "plugin_stateadr")
 _relocations = records(RELOCATION_DTYPE)
 _shapes = records(SHAPE_DTYPE)
@@ -72,20 +46,12 @@ _fail = c_function(FAIL, "void", "int64")
 _unprepared = c_function(UNPREPARED, "void", "int64")
 _forget = c_function(FORGET, "void", "int64")
 
-_OTHER_SHAPE = "mjgranular_other_shape"
-_other_shape = ctypes.create_string_buffer(
-    b"mjgranular: the height field that is the sand has other rows or columns in this model than "
-    b"in that of the mjData: make an mjData for each model"
-)
-publish(_OTHER_SHAPE, ctypes.addressof(_other_shape))
-other_shape = address_of(_OTHER_SHAPE)
-
 
 @compiled
 def is_reasonable(state):
     """Return True if all numbers of a state are finite, and none but the height negative."""
-    for k in range(STATE_SIZE):
-        if not math.isfinite(state[k]) or (k != HEIGHT and state[k] < 0.0):
+    for k in range(tuning.STATE_SIZE):
+        if not math.isfinite(state[k]) or (k != tuning.HEIGHT and state[k] < 0.0):
             return False
     return True
 
@@ -95,7 +61,7 @@ def invalidate_forces(header):
     """Set forces to NaN: MuJoCo finds them, warns and resets, as with any bad state."""
     table = table_at(header.table)
     bodies = bodies_of(table)
-    forces = floats(header.qfrc, table[NV])
+    forces = floats(header.qfrc, table[memory.NV])
     for slot in range(len(bodies)):
         forces[bodies[slot].last_dof] = math.nan
 
@@ -116,19 +82,15 @@ def clear_results(header):
 @compiled
 def rescale(header, state):
     """Scale the block's scene from its initial values, so that changes do not accumulate."""
-    count = header.tuning_count
-    tunings = _tunings(header.tunings, count)
-    scene = table_at(header.table)[SCENE]
-    for i in range(count):
-        tuning = tunings[i]
-        value = tuning.base
-        if tuning.number == STRENGTH:
-            value *= state[STRENGTH]
-        elif tuning.number == DENSITY:
-            value *= state[DENSITY]
+    tunings = _tunings(header.tunings, header.tuning_count)
+    scene = table_at(header.table)[memory.SCENE]
+    for i in range(len(tunings)):
+        number, value = tunings[i].number, tunings[i].base
+        if number == tuning.HEIGHT:
+            value += tunings[i].rate * state[tuning.HEIGHT]
         else:
-            value += tuning.rate * state[HEIGHT]
-        floats(scene + 8 * tuning.word, 1)[0] = value
+            value *= state[number]
+        floats(scene + 8 * tunings[i].word, 1)[0] = value
 
 
 @compiled
@@ -146,10 +108,10 @@ def adjust(block, model, data, instance):
     """
     header = header_at(block)
     address = state_of(model, data, instance)
-    state, bits = floats(address, STATE_SIZE), longs(address, STATE_SIZE)
-    applied = longs(block + _APPLIED, STATE_SIZE)
+    state, bits = floats(address, tuning.STATE_SIZE), longs(address, tuning.STATE_SIZE)
+    applied = longs(block + _APPLIED, tuning.STATE_SIZE)
     known = header.tuned != 0
-    for k in range(STATE_SIZE):
+    for k in range(tuning.STATE_SIZE):
         known = known and bits[k] == applied[k]
     if not known:
         if not is_reasonable(state):
@@ -158,10 +120,10 @@ def adjust(block, model, data, instance):
             invalidate_forces(header)
             return False
         rescale(header, state)
-        if state[ACTIVE] == 0.0:
+        if state[tuning.ACTIVE] == 0.0:
             clear_results(header)
-        table_at(header.table)[OFF] = state[ACTIVE] == 0.0
-        for k in range(STATE_SIZE):
+        table_at(header.table)[memory.OFF] = state[tuning.ACTIVE] == 0.0
+        for k in range(tuning.STATE_SIZE):
             applied[k] = bits[k]
         header.tuned = 1
     return True
@@ -180,7 +142,9 @@ def is_solved_later(header, data):
             return False
         if later.whole != 0:
             table = table_at(header.table)
-            table_at(later.table)[BESIDE] = table[BESIDE] if table[OFF] != 0 else header.table
+            table_at(later.table)[memory.BESIDE] = (
+                table[memory.BESIDE] if table[memory.OFF] != 0 else header.table
+            )
             return True
         number = later.later
     return False
@@ -218,30 +182,25 @@ def add_wrenches(table, qfrc, awake):
     `qfrc` is the address of nv forces, `awake` that of `body_awake`.
     """
     bodies = bodies_of(table)
-    parent = ints(table[DOF_PARENT], table[NV])
-    states = ints(awake, table[NBODY])
+    parent = ints(table[memory.DOF_PARENT], table[memory.NV])
+    states = ints(awake, table[memory.NBODY])
     for slot in range(len(bodies)):
         body = bodies[slot]
         if states[body.body] == ASLEEP:
             continue
-        fx, fy, fz = body.wrench[0], body.wrench[1], body.wrench[2]
-        mx, my, mz = body.wrench[3], body.wrench[4], body.wrench[5]
-        if fx == 0.0 and fy == 0.0 and fz == 0.0 and mx == 0.0 and my == 0.0 and mz == 0.0:
+        f, m = read_vector(body.wrench, 0), read_vector(body.wrench, 3)
+        if f.x == 0.0 and f.y == 0.0 and f.z == 0.0 and m.x == 0.0 and m.y == 0.0 and m.z == 0.0:
             continue
-        center = row_of(table[XIPOS], body.body, 3)
-        origin = row_of(table[SUBTREE_COM], body.root, 3)
-        x, y, z = center[0] - origin[0], center[1] - origin[1], center[2] - origin[2]
-        mx += y * fz - z * fy
-        my += z * fx - x * fz
-        mz += x * fy - y * fx
+        center = read_vector(row_of(table[memory.XIPOS], body.body, 3), 0)
+        m += cross(center - read_vector(row_of(table[memory.SUBTREE_COM], body.root, 3), 0), f)
         dof = body.last_dof
         while dof >= 0:
-            axis = row_of(table[CDOF], dof, 6)
+            axis = row_of(table[memory.CDOF], dof, 6)
             # In pairs: a chain of dependent sums takes twice as long.
             row_of(qfrc, dof, 1)[0] += (
-                (axis[0] * mx + axis[1] * my)
-                + (axis[2] * mz + axis[3] * fx)
-                + (axis[4] * fy + axis[5] * fz)
+                (axis[0] * m.x + axis[1] * m.y)
+                + (axis[2] * m.z + axis[3] * f.x)
+                + (axis[4] * f.y + axis[5] * f.z)
             )
             dof = parent[dof]
 
@@ -277,15 +236,11 @@ def copy(to, model, origin, instance):
 @compiled
 def reset(model, state, handle, instance):
     """Reset the state of an instance, and clear the results of the last step."""
-    sizes = ints(_state_sizes(model), instance + 1)
-    if sizes[instance] == STATE_SIZE:
-        numbers = floats(state, STATE_SIZE)
-        for k in range(STATE_SIZE):
-            numbers[k] = INITIAL[k]
-    else:  # the sand's memory: empty
-        numbers = floats(state, sizes[instance])
-        for k in range(len(numbers)):
-            numbers[k] = 0.0
+    numbers = floats(state, ints(_state_sizes(model), instance + 1)[instance])
+    numbers[:] = 0.0  # the sand's memory: empty
+    if len(numbers) == tuning.STATE_SIZE:
+        for k in range(tuning.STATE_SIZE):
+            numbers[k] = tuning.INITIAL[k]
     # A handle may be another's (`handles`), so the row must belong to the `mjData` with this state.
     if handle <= 0 or handle >= ROW_COUNT:
         return
@@ -317,18 +272,18 @@ def compute(model, data, instance, capability):
     header.updating = 0  # it is still set if a user's callback raised
     table = table_at(header.table)
     if header.tuning_count != 0 and not adjust(block, model, data, instance):
-        table[OFF] = 1
+        table[memory.OFF] = 1
     waits = header.whole != 0 and is_solved_later(header, data)
-    if table[OFF] != 0 and (waits or table[BESIDE] == 0):
+    if table[memory.OFF] != 0 and (waits or table[memory.BESIDE] == 0):
         return
     # A batch may run this mjData on another model, or move arrays of the same.
     link_model(block, model, header)
     if not is_of_that_shape(header):
-        _fail(other_shape())
+        _fail(header.refusals + REFUSAL_SIZE * (len(REFUSED) + 1))
         return
     lead = header.lead * options_of(model).timestep
     if waits:
-        call_step(table[SAMPLING], header.table, lead)
+        call_step(table[memory.SAMPLING], header.table, lead)
         return
     status = call_step(header.program, header.table, lead)
     if status <= BAD_TIMESTEP:
@@ -337,7 +292,7 @@ def compute(model, data, instance, capability):
     address = header.table
     while address != 0:
         add_wrenches(table_at(address), header.qfrc, header.awake)
-        address = table_at(address)[BESIDE]
+        address = table_at(address)[memory.BESIDE]
 
 
 @compiled
@@ -354,7 +309,7 @@ def advance(model, data, instance):
         if header.refusals != 0:
             _fail(header.refusals + REFUSAL_SIZE * len(REFUSED))
     elif header.program != 0:
-        update = table_at(header.table)[UPDATE]
+        update = table_at(header.table)[memory.UPDATE]
         if update != 0:
             call_step(update, header.table, 0.0)
 

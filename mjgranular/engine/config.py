@@ -34,6 +34,15 @@ KEYS = (*SAND_FIELDS, "draw", "tunable")
 STATE_KEYS = ("memory", "tunable")
 """Keys that determine the size of an instance's state in MuJoCo."""
 
+NAME, SENSOR = "mjgranular.sand", "mjgranular.sensor"
+"""Names of the plugins."""
+
+SENSOR_KEYS = ("measure", "sand")
+"""Keys of `mjgranular.sensor`."""
+
+MEASURES = {"force": 3, "moment": 3, "depth": 1, "power": 1, "speed": 1, "touch": 1}
+"""Its measures, with the number of their values."""
+
 _CHOICES = ("bodies", "geoms", "groups")  # of what meets the sand
 
 LONGEST = 100_000

@@ -8,23 +8,14 @@ import numpy as np
 from mjgranular.engine.block import header_at
 from mjgranular.engine.config import DRAWINGS
 from mjgranular.engine.tuning import ACTIVE
+from mjgranular.kernel import memory
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.engine import connect_geom, init_geom
 from mjgranular.kernel.intrinsics import call_step
-from mjgranular.kernel.memory import (
-    SCENE,
-    XIPOS,
-    field,
-    floats,
-    ints,
-    longs,
-    records,
-    row_of,
-    table_at,
-)
+from mjgranular.kernel.memory import field, floats, ints, longs, records, row_of, table_at
 from mjgranular.kernel.records import bodies_of, contacts_of
 from mjgranular.kernel.structs import record_of
-from mjgranular.kernel.vector import cross, dot, read_vector, vector, write_vector
+from mjgranular.kernel.vector import cross, dot, norm, read_vector, vector, write_vector
 from mjgranular.render.track_kernel import FRAME_DTYPE, canvases
 from mjgranular.surface.surface import PLANE_DTYPE
 
@@ -66,30 +57,20 @@ def add_geom(scene, kind):
 @compiled
 def add_arrow(scene, header, bodies, contacts, slots, slot):
     """Add an arrow for the force on a body, from the mean of its points of action."""
-    ends = floats(header.ends, 6)
-    force = bodies[slot].wrench
-    ends[:] = 0.0
-    weight, length = 0.0, 0.0
+    weight, total = 0.0, vector(0.0, 0.0, 0.0)
     for i in range(len(contacts)):
-        contact = contacts[i]
-        if slots[i] == slot and contact.depth > 0.0:
-            size = 0.0
-            for k in range(3):
-                size += contact.force[k] ** 2
-            size = math.sqrt(size)
+        if slots[i] == slot and contacts[i].depth > 0.0:
+            size = norm(read_vector(contacts[i].force, 0))
             weight += size
-            for k in range(3):
-                ends[k] += size * contact.point[k]
-    if weight == 0.0:
+            total += size * read_vector(contacts[i].point, 0)
+    arrow = header.arrow_scale * read_vector(bodies[slot].wrench, 0)
+    if weight == 0.0 or dot(arrow, arrow) == 0.0:
         return
-    for k in range(3):
-        ends[k] /= weight
-        ends[3 + k] = ends[k] + header.arrow_scale * force[k]
-        length += (ends[3 + k] - ends[k]) ** 2
-    address = 0
-    if length > 0.0:
-        address = add_geom(scene, _ARROW)
+    address = add_geom(scene, _ARROW)
     if address != 0:
+        ends, begin = floats(header.ends, 6), total / weight
+        write_vector(ends, 0, begin)
+        write_vector(ends, 3, begin + arrow)
         connect_geom(address, _ARROW, header.arrow_width, header.ends, header.ends + 24)
         rgba = _geoms(address, 1)[0].rgba
         rgba[0], rgba[1], rgba[2], rgba[3] = 0.85, 0.35, 0.1, 1.0
@@ -101,9 +82,8 @@ def add_dot(scene, contact, width, share):
     address = add_geom(scene, _SPHERE)
     if address != 0:
         geom = _geoms(address, 1)[0]
-        for k in range(3):
-            geom.size[k] = width
-            geom.pos[k] = contact.point[k]
+        geom.size[:] = width
+        write_vector(geom.pos, 0, read_vector(contact.point, 0))
         rgba = geom.rgba
         rgba[0], rgba[1], rgba[2], rgba[3] = 1.0 - share, 0.85 * (1.0 - share), share, 1.0
 
@@ -214,8 +194,8 @@ def draw(block, scene, model, prints):
     contacts = contacts_of(table)
     slots = longs(header.slots, len(contacts))
     if header.draw & _SURFACE and (header.tuned == 0 or header.applied[ACTIVE] != 0.0):
-        surface = table[SCENE] + header.plane
-        middle = read_vector(row_of(table[XIPOS], bodies[0].body, 3), 0)
+        surface = table[memory.SCENE] + header.plane
+        middle = read_vector(row_of(table[memory.XIPOS], bodies[0].body, 3), 0)
         if prints:
             lay_prints(header, surface, middle, model)
             add_prints(scene, header)

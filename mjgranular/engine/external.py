@@ -11,7 +11,7 @@ sand. If there are such sensors, they are computed again.
 
 import mujoco
 
-from mjgranular._util.checks import check_data, check_model
+from mjgranular._util.checks import check_kind
 from mjgranular.engine.block import header_at
 from mjgranular.engine.handles import find_block
 from mjgranular.engine.instances import instance_of, sands_in
@@ -114,8 +114,8 @@ def rne_post_constraint(model: mujoco.MjModel, data: mujoco.MjData) -> None:
     Raises:
         InputError: an argument is not a model or not its data.
     """
-    check_model(model, "rne_post_constraint")
-    check_data(data, "rne_post_constraint")
+    check_kind(model, mujoco.MjModel, "rne_post_constraint")
+    check_kind(data, mujoco.MjData, "rne_post_constraint")
     mujoco.mj_rnePostConstraint(model, data)
     names = sands_in(model)
     if names:

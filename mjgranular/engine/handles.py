@@ -70,11 +70,16 @@ class HandleTable:
         address.
         """
         self._set_handle(data, instance, 0)
-        self._free_rows(self._of(data, instance))
+        self.release(data, instance)
 
-    def release(self, data: int) -> None:
-        """Remove all blocks of an `mjData`."""
-        self._free_rows(self._of(data))
+    def release(self, data: int, instance: int | None = None) -> None:
+        """Remove the block of an instance in an `mjData`, or all its blocks."""
+        rows = self._rows[: int(self._rows["used"][0])]
+        found = rows["data"] == data
+        if instance is not None:
+            found &= rows["instance"] == instance
+        rows["block"][found] = 0
+        rows["data"][found] = 0
 
     def put(self, data: int, instance: int, block: np.ndarray, *shared: Any) -> None:
         """Assign a block to an instance in an `mjData` that has none."""
@@ -98,18 +103,6 @@ class HandleTable:
     def _set_handle(self, data: int, instance: int, number: int) -> None:
         handles = ctypes.c_int64.from_address(data + self._plugin_data).value
         ctypes.c_int64.from_address(handles + 8 * instance).value = number
-
-    def _of(self, data: int, instance: int | None = None) -> list[int]:
-        """Return the rows of an `mjData`."""
-        rows = self._rows[: int(self._rows["used"][0])]
-        found = rows["data"] == data
-        if instance is not None:
-            found &= rows["instance"] == instance
-        return np.flatnonzero(found).tolist()
-
-    def _free_rows(self, numbers: list[int]) -> None:
-        self._rows["block"][numbers] = 0
-        self._rows["data"][numbers] = 0
 
     def _find_free(self) -> int:
         self._purge()

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 import mujoco
 import numpy as np
 
-from mjgranular._util.checks import check_data, check_model
-from mjgranular.engine.config import KEYS, read_config
+from mjgranular._util.checks import check_kind
+from mjgranular.engine.config import KEYS, NAME, read_config
 from mjgranular.errors import InputError, UnknownNameError
 from mjgranular.kernel.engine import library
 from mjgranular.law import Law
@@ -19,9 +19,6 @@ from mjgranular.sand.material import material_of
 from mjgranular.sand.spec import SandSpec
 from mjgranular.surface import Surface
 from mjgranular.surface.choice import surface_of
-
-NAME = "mjgranular.sand"
-"""Name of the plugin."""
 
 
 def plugin_slot(name: str) -> int:
@@ -96,8 +93,8 @@ def relief_of(
         UnknownNameError: the model has no such sand; lists those it has.
         InputError: it has no memory.
     """
-    check_model(model, "relief_of")
-    check_data(data, "relief_of")
+    check_kind(model, mujoco.MjModel, "relief_of")
+    check_kind(data, mujoco.MjData, "relief_of")
     instance = instance_of(model, name)
     sand = _spec_of(model, instance)
     memory = as_memory(sand.memory)

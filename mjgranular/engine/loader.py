@@ -19,13 +19,11 @@ import mujoco
 import numpy as np
 from mujoco.introspect.ast_nodes import PointerType
 
-from mjgranular.engine import sensor
+from mjgranular.engine import config, sensor
 from mjgranular.engine.block import HEADER_DTYPE, NO_PASSIVE, NO_RELOCATIONS, Image, make_image
-from mjgranular.engine.config import DRAWINGS, KEYS, named, read_config
 from mjgranular.engine.handles import HandleTable
-from mjgranular.engine.instances import NAME, config_texts, instance_name, plugin_slot
+from mjgranular.engine.instances import config_texts, instance_name, plugin_slot
 from mjgranular.engine.looks import look_of_plane, look_of_tracks
-from mjgranular.engine.measures import SENSOR, SENSOR_KEYS
 from mjgranular.engine.tuning import NO_TUNINGS, STATE_SIZE, make_tunings
 from mjgranular.errors import InputError
 from mjgranular.kernel.engine import library
@@ -92,7 +90,7 @@ class Loader:
                 if instance in _array(model, "sensor_plugin"):
                     raise InputError(
                         "a sensor refers to the sand itself, which measures nothing: use an "
-                        f"instance of the plugin {SENSOR}"
+                        f"instance of the plugin {config.SENSOR}"
                     )
                 self._check_overlap(model, instance, sands)
                 content = self._prepare(model, instance).image
@@ -139,7 +137,7 @@ class Loader:
                 )
 
     def _sensor(self, model: int, instance: int, sands: dict[str, int]) -> Image:
-        texts = config_texts(model, instance, SENSOR_KEYS)
+        texts = config_texts(model, instance, config.SENSOR_KEYS)
         sand = sensor.find_sand(texts["sand"], sands)
         prepared = self._prepare(model, sand)
         readings = sensor.make_readings(
@@ -156,7 +154,7 @@ class Loader:
         return Image(content, NO_RELOCATIONS)
 
     def _prepare(self, model: int, instance: int) -> Prepared:
-        texts = config_texts(model, instance, KEYS)
+        texts = config_texts(model, instance, config.KEYS)
         key = _key(model, instance, texts)
         prepared = self._prepared.get(key)
         if prepared is None:
@@ -242,7 +240,7 @@ def _write(model: int, name: str, places: Sequence[int], value: int) -> bool:
 
 def _sands(model: int) -> dict[str, int]:
     """Return the instances of sand in a model by name."""
-    ours = np.flatnonzero(_array(model, "plugin") == plugin_slot(NAME))
+    ours = np.flatnonzero(_array(model, "plugin") == plugin_slot(config.NAME))
     return {instance_name(model, int(i)): int(i) for i in ours}
 
 
@@ -272,20 +270,20 @@ def _prepare(model: mujoco.MjModel, instance: int, texts: dict[str, str]) -> Pre
     """Prepare the sand of an instance from its configuration, for a model, which is modified."""
     if model.opt.disableflags & NO_PASSIVE_FORCES == NO_PASSIVE_FORCES:
         raise InputError(NO_PASSIVE)
-    config = read_config(texts)
-    sand = prepare(model, config.sand, within=True)
+    parsed = config.read_config(texts)
+    sand = prepare(model, parsed.sand, within=True)
     tunings = NO_TUNINGS
-    if config.tunable:
-        with named("tunable"):
+    if parsed.tunable:
+        with config.named("tunable"):
             tunings = make_tunings(sand, model)
-    size = sand.surface.state_size + (STATE_SIZE if config.tunable else 0)
+    size = sand.surface.state_size + (STATE_SIZE if parsed.tunable else 0)
     if model.plugin_statenum[instance] != size:
         raise InputError(
             f"the model has {model.plugin_statenum[instance]} numbers for the sand's state, which "
             f"has {size}: compile the model again"
         )
     name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_PLUGIN, instance) or ""
-    drawing, canvas = _drawing(model, config.draw, sand, name)
+    drawing, canvas = _drawing(model, parsed.draw, sand, name)
     names = Names.of(model, sand.elements)
     return Prepared(
         make_image(model, mujoco.MjData(model), instance, sand, tunings, drawing, canvas),
@@ -293,7 +291,7 @@ def _prepare(model: mujoco.MjModel, instance: int, texts: dict[str, str]) -> Pre
         geoms=names.geoms,
         disabled=sand.disabled,
         hidden=sand.surface.geoms(model) if canvas else (),
-        place=None if config.tunable else _place_of(sand.surface),
+        place=None if parsed.tunable else _place_of(sand.surface),
         draws=bool(drawing["draw"]),
         origin=(sand.medium, *_registered()),
     )
@@ -328,7 +326,7 @@ def _drawing(
     check_layout("mjvGeom")
     fields: Any = sand.scene.dtype.fields
     return {
-        "draw": sum(1 << DRAWINGS.index(drawing) for drawing in chosen),
+        "draw": sum(1 << config.DRAWINGS.index(drawing) for drawing in chosen),
         "arrow_scale": model.vis.map.force / model.stat.meanmass,
         "arrow_width": model.vis.scale.forcewidth * model.stat.meansize,
         "plane": fields["surface"][1],

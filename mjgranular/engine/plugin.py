@@ -16,17 +16,8 @@ from typing import Any
 
 import mujoco
 
-from mjgranular.engine.config import KEYS, STATE_KEYS, read_config
-from mjgranular.engine.instances import NAME, config_texts, instance_name
-from mjgranular.engine.measures import MEASURES, SENSOR, SENSOR_KEYS
-from mjgranular.engine.trampolines import (
-    ERROR,
-    FINE,
-    INTERRUPT,
-    Answer,
-    make_trampolines,
-    raise_later,
-)
+from mjgranular.engine import config, trampolines
+from mjgranular.engine.instances import config_texts, instance_name
 from mjgranular.engine.tuning import STATE_SIZE
 from mjgranular.errors import GranularError
 from mjgranular.kernel.compiled import program_address
@@ -103,8 +94,8 @@ class Engine:
         struct.capabilityflags = plugin.capability
         struct.needstage = plugin.stage
         counts = {"nstate": plugin.count_state, "nsensordata": plugin.count_values}
-        trampolines = make_trampolines(plugin.name, partial(self._init, plugin), counts)
-        for callback, address in trampolines.items():
+        made = trampolines.make_trampolines(plugin.name, partial(self._init, plugin), counts)
+        for callback, address in made.items():
             setattr(struct, callback, address)
         lib.mjp_registerPlugin(ctypes.addressof(struct))
 
@@ -113,7 +104,7 @@ class Engine:
 
         Only interrupts are raised from here, and then there is no result.
         """
-        answer = Answer.from_address(place)
+        answer = trampolines.Answer.from_address(place)
         try:
             if is_preparing():
                 self._loader.clear_slot(data, instance)
@@ -121,23 +112,23 @@ class Engine:
                 if plugin.name not in self._active:
                     prepare_in_worker(lambda: self._activate(plugin))
                 self._loader.load(model, data, instance)
-            answer[0] = FINE
+            answer[0] = trampolines.FINE
         except Exception as error:
             self._refuse(error, model, data, instance, answer)
         except BaseException as error:
             if not is_main():
                 self._refuse(error, model, data, instance, answer)
                 return
-            answer[0] = INTERRUPT
-            raise_later(error)
+            answer[0] = trampolines.INTERRUPT
+            trampolines.raise_later(error)
 
     def _refuse(
         self, error: BaseException, model: int, data: int, instance: int, answer: ctypes.Array[Any]
     ) -> None:
         """Have MuJoCo raise an error: now, or at the first step if it would end the process now."""
         now = _errors_are_caught()
-        # In case the steps below fail too.
-        answer[1], answer[0] = ctypes.addressof(_FAILED), ERROR if now else FINE
+        answer[1] = ctypes.addressof(_FAILED)  # in case the steps below fail too
+        answer[0] = trampolines.ERROR if now else trampolines.FINE
         try:
             if not isinstance(error, GranularError):
                 _logger.error("preparing sand failed", exc_info=error)
@@ -178,8 +169,8 @@ class Engine:
         from mjgranular.engine.loader import Loader
 
         if self._loader is None:
-            self._loader = Loader(partial(self._put, NAME, callbacks.DRAWING))
-        self._put(plugin.name, callbacks.SAND if plugin.name == NAME else callbacks.SENSOR)
+            self._loader = Loader(partial(self._put, config.NAME, callbacks.DRAWING))
+        self._put(plugin.name, callbacks.SAND if plugin.name == config.NAME else callbacks.SENSOR)
 
     def _put(self, plugin: str, callbacks: Mapping[str, tuple[Any, str]]) -> None:
         """Compile functions and have MuJoCo call them."""
@@ -229,9 +220,9 @@ def _count_state(model: int, instance: int, place: int) -> None:
     It is 0 for a configuration that cannot be parsed; preparing the sand reports the error.
     """
     try:
-        config = read_config(config_texts(model, instance, STATE_KEYS))
-        memory = as_memory(config.sand.memory)
-        size = (STATE_SIZE if config.tunable else 0) + (memory.state_size if memory else 0)
+        parsed = config.read_config(config_texts(model, instance, config.STATE_KEYS))
+        memory = as_memory(parsed.sand.memory)
+        size = (STATE_SIZE if parsed.tunable else 0) + (memory.state_size if memory else 0)
     except GranularError:
         size = 0
     ctypes.c_int64.from_address(place).value = size
@@ -239,19 +230,19 @@ def _count_state(model: int, instance: int, place: int) -> None:
 
 def _count_values(model: int, instance: int, place: int) -> None:
     """Write the number of values of an instance of the sensor; preparing it reports errors."""
-    measure = config_texts(model, instance, SENSOR_KEYS)["measure"]
-    ctypes.c_int64.from_address(place).value = MEASURES.get(measure, 1)
+    measure = config_texts(model, instance, config.SENSOR_KEYS)["measure"]
+    ctypes.c_int64.from_address(place).value = config.MEASURES.get(measure, 1)
 
 
 _PLUGINS = (
     Plugin(
-        NAME,
-        KEYS,
+        config.NAME,
+        config.KEYS,
         _PASSIVE | _SENSOR,  # it measures nothing, but is called after MuJoCo's sensors
         _ACCELERATION,
         count_state=_count_state,
     ),
-    Plugin(SENSOR, SENSOR_KEYS, _SENSOR, _VELOCITY, count_values=_count_values),
+    Plugin(config.SENSOR, config.SENSOR_KEYS, _SENSOR, _VELOCITY, count_values=_count_values),
 )
 
 

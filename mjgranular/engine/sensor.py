@@ -1,7 +1,7 @@
 """The plugin `mjgranular.sensor`: effects of the sand on a body, among MuJoCo's own sensors.
 
 It reads the results of the sand in the same `mjData`. It is a separate plugin so that a model
-without such sensors does not pay for them.
+without such sensors does not pay for them. `SandReadings` reads them from Python instead.
 """
 
 import math
@@ -11,15 +11,25 @@ import mujoco
 import numpy as np
 
 from mjgranular.engine.block import HEADER_DTYPE, header_at
+from mjgranular.engine.config import MEASURES
 from mjgranular.engine.external import ASLEEP
 from mjgranular.engine.handles import find_block
-from mjgranular.engine.measures import MEASURES
+from mjgranular.engine.instances import instance_of
 from mjgranular.engine.trampolines import UNPREPARED
 from mjgranular.errors import InputError, UnknownNameError, listed
-from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.compiled import compiled, entry
 from mjgranular.kernel.intrinsics import c_function
 from mjgranular.kernel.memory import NBODY, field, floats, ints, longs, records, row_of, table_at
 from mjgranular.kernel.records import bodies_of, contacts_of
+from mjgranular.kernel.vector import (
+    dot,
+    norm,
+    read_matrix,
+    read_vector,
+    transposed,
+    vector,
+    write_vector,
+)
 
 FORCE, MOMENT, DEPTH, POWER, SPEED, TOUCH = range(len(MEASURES))
 
@@ -119,14 +129,11 @@ def measure_sand(block, measure, slot, values):
     header = header_at(block)
     table = table_at(header.table)
     if measure in (FORCE, MOMENT):
-        bodies = bodies_of(table)
-        first = 3 if measure == MOMENT else 0
-        for k in range(3):
-            values[k] = 0.0
+        bodies, total = bodies_of(table), vector(0.0, 0.0, 0.0)
         for i in range(len(bodies)):
             if slot < 0 or slot == i:
-                for k in range(3):
-                    values[k] += bodies[i].wrench[first + k]
+                total += read_vector(bodies[i].wrench, 3 if measure == MOMENT else 0)
+        write_vector(values, 0, total)
         return
     contacts = contacts_of(table)
     slots = longs(header.slots, len(contacts))
@@ -137,10 +144,8 @@ def measure_sand(block, measure, slot, values):
             depth = max(depth, contact.depth)
             if contact.depth > 0.0:  # above the sand only the depth is written
                 power += contact.power
-                speed = 0.0
-                for k in range(3):
-                    speed += contact.velocity[k] * contact.velocity[k]
-                square = max(square, speed)
+                velocity = read_vector(contact.velocity, 0)
+                square = max(square, dot(velocity, velocity))
     if measure == SPEED:
         values[0] = math.sqrt(square)
     else:
@@ -148,11 +153,12 @@ def measure_sand(block, measure, slot, values):
 
 
 @compiled
-def is_inside(kind, size, x, y, z):
+def is_inside(kind, size, point):
     """Return True if a point in the frame of a site is inside its volume.
 
     The kind of the site is sphere, capsule, ellipsoid, cylinder, else box; its size is 3 numbers.
     """
+    x, y, z = point.x, point.y, point.z
     if kind == _SPHERE:
         return x * x + y * y + z * z <= size[0] * size[0]
     if kind == _CAPSULE:
@@ -178,27 +184,18 @@ def touch(data, block, row):
     contacts = contacts_of(table)
     slots, geoms = longs(header.slots, len(contacts)), longs(header.geoms, len(contacts))
     number = max(row.site, 0)
-    place = row_of(_positions(data), number, 3)
-    turn = row_of(_orientations(data), number, 9)
+    place = read_vector(row_of(_positions(data), number, 3), 0)
+    turn = transposed(read_matrix(row_of(_orientations(data), number, 9), 0))
     total = 0.0
     for i in range(len(contacts)):
         contact = contacts[i]
         mine = row.slot < 0 or row.slot == slots[i]
         mine = mine and (row.geom < 0 or row.geom == geoms[i]) and contact.depth > 0.0
         if mine and row.site >= 0:
-            a = contact.point[0] - place[0]
-            b = contact.point[1] - place[1]
-            c = contact.point[2] - place[2]
-            mine = is_inside(
-                row.kind,
-                row.size,
-                turn[0] * a + turn[3] * b + turn[6] * c,
-                turn[1] * a + turn[4] * b + turn[7] * c,
-                turn[2] * a + turn[5] * b + turn[8] * c,
-            )
+            point = read_vector(contact.point, 0)
+            mine = is_inside(row.kind, row.size, turn @ (point - place))
         if mine:
-            force = contact.force
-            total += math.sqrt(force[0] * force[0] + force[1] * force[1] + force[2] * force[2])
+            total += norm(read_vector(contact.force, 0))
     return total
 
 
@@ -230,3 +227,41 @@ def compute_sensors(model, data, instance, capability):
                 values[0] = touch(data, sand, row)
             else:
                 measure_sand(sand, row.measure, row.slot, values)
+
+
+READINGS = 6
+"""Numbers of `SandReadings` per sand: force [N], depth [m], power [W], speed [m/s]."""
+
+
+class SandReadings:
+    """Read the last step's results of each sand for all bodies together, into one array.
+
+    `values` has `READINGS` numbers for each sand, in the order of instances, shape (1, n);
+    `together` has the index of the first number of each.
+    """
+
+    def __init__(self, model: mujoco.MjModel, sands: tuple[str, ...]) -> None:
+        self._instances = [instance_of(model, name) for name in sands]
+        self.together = [READINGS * number for number in range(len(sands))]
+        self.values = np.zeros((1, READINGS * len(sands)))
+        self._read = entry(_read, "int64(int64, int64, int64)")
+
+    def read(self, data: mujoco.MjData) -> np.ndarray:
+        """Read a simulation; zeros before its first step, and after a reset."""
+        begin = self.values.ctypes.data
+        address = data._address
+        for instance, together in zip(self._instances, self.together, strict=True):
+            self._read(address, instance, begin + 8 * together)
+        return self.values
+
+
+@compiled
+def _read(data, instance, together):
+    block = find_block(data, instance)
+    if block == 0 or header_at(block).table == 0:
+        return 0
+    measure_sand(block, FORCE, -1, floats(together, 3))
+    measure_sand(block, DEPTH, -1, floats(together + 24, 1))
+    measure_sand(block, POWER, -1, floats(together + 32, 1))
+    measure_sand(block, SPEED, -1, floats(together + 40, 1))
+    return 1

@@ -6,9 +6,8 @@ from typing import Unpack
 
 import mujoco
 
-from mjgranular._util.checks import check_spec, check_switch, kind_of
-from mjgranular.engine.config import write_config
-from mjgranular.engine.instances import NAME
+from mjgranular._util.checks import check_kind, check_switch, kind_of
+from mjgranular.engine.config import NAME, write_config
 from mjgranular.engine.plugin import check_registered
 from mjgranular.errors import InputError
 from mjgranular.relief.memory import as_memory
@@ -50,7 +49,7 @@ def add_sand(
             the model is found when it is compiled.
         LayoutError: this version of MuJoCo cannot be used with the plugin.
     """
-    check_spec(spec, "add_sand")
+    check_kind(spec, mujoco.MjSpec, "add_sand")
     check_switch("tunable", tunable)
     if name is not None and not (isinstance(name, str) and name):
         raise InputError(f"the name of an instance must be a string, not {kind_of(name)}")

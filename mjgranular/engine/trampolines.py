@@ -31,6 +31,8 @@ if `pausing` allows it."""
 FORGET = "mjgranular_forget"
 """Name of `forget(data)`, called when an `mjData` is freed: another may get its address."""
 
+_HAS_FAILED = "mjgranular_has_failed"  # a call of Python, from its result, which is released
+
 pausing = ctypes.c_int64(0)
 """Address of the `mjData` that runs without sand while an interrupt is pending; 0 for none."""
 
@@ -63,8 +65,7 @@ define void @mjgranular_fail(i64 %text) {
 }
 
 define void @mjgranular_unprepared(i64 %data) {
-  %cell = inttoptr i64 PAUSING to ptr
-  %pausing = load volatile i64, ptr %cell
+  %pausing = load volatile i64, ptr inttoptr (i64 PAUSING to ptr)
   %meant = icmp eq i64 %pausing, %data
   br i1 %meant, label %leave, label %raise
 raise:
@@ -80,12 +81,11 @@ define void @mjgranular_compute(i64 %model, i64 %data, i32 %instance, i32 %capab
 }
 
 define void @mjgranular_forget(i64 %data) {
-  %cell = inttoptr i64 PAUSING to ptr
-  %pausing = load volatile i64, ptr %cell
+  %pausing = load volatile i64, ptr inttoptr (i64 PAUSING to ptr)
   %gone = icmp eq i64 %pausing, %data
   br i1 %gone, label %forget, label %leave
 forget:
-  store volatile i64 0, ptr %cell
+  store volatile i64 0, ptr inttoptr (i64 PAUSING to ptr)
   br label %leave
 leave:
   ret void
@@ -99,6 +99,20 @@ define void @mjgranular_destroy(i64 %data, i32 %instance) {
 define void @mjgranular_reset(i64 %model, i64 %state, i64 %handle, i32 %instance) {
   ret void
 }
+
+declare void @Py_DecRef(ptr)
+declare void @PyErr_Clear()
+
+define i1 @mjgranular_has_failed(ptr %result) {
+  %failed = icmp eq ptr %result, null
+  br i1 %failed, label %clear, label %release
+clear:
+  call void @PyErr_Clear()
+  ret i1 true
+release:
+  call void @Py_DecRef(ptr %result)
+  ret i1 false
+}
 """
 
 _INIT = r"""
@@ -108,11 +122,10 @@ _INIT = r"""
 declare i32 @PyGILState_Ensure()
 declare void @PyGILState_Release(i32)
 declare ptr @PyObject_CallFunction(ptr, ptr, ...)
-declare void @Py_DecRef(ptr)
-declare void @PyErr_Clear()
 declare void @PyErr_SetInterrupt()
 declare i64 @PyThread_get_thread_ident()
 declare void @mjgranular_fail(i64)
+declare i1 @mjgranular_has_failed(ptr)
 
 define i32 @NAME_init(i64 %model, i64 %data, i32 %instance) {
   %answer = alloca [2 x i64]
@@ -120,24 +133,15 @@ define i32 @NAME_init(i64 %model, i64 %data, i32 %instance) {
   %second = getelementptr i64, ptr %answer, i64 1
   store volatile i64 0, ptr %second
   %place = ptrtoint ptr %answer to i64
-  %function = inttoptr i64 FUNCTION to ptr
-  %cell = inttoptr i64 PAUSING to ptr
-  %pausing = load volatile i64, ptr %cell
+  %pausing = load volatile i64, ptr inttoptr (i64 PAUSING to ptr)
   %due = icmp eq i64 %pausing, %data
   br i1 %due, label %leave, label %ask
 ask:
   %held = call i32 @PyGILState_Ensure()
-  %made = call ptr (ptr, ptr, ...) @PyObject_CallFunction(ptr %function, ptr @format,
+  %made = call ptr (ptr, ptr, ...) @PyObject_CallFunction(
+    ptr inttoptr (i64 FUNCTION to ptr), ptr @format,
     i64 %model, i64 %data, i32 %instance, i64 %place)
-  %failed = icmp eq ptr %made, null
-  br i1 %failed, label %lost, label %returned
-lost:
-  call void @PyErr_Clear()
-  br label %answered
-returned:
-  call void @Py_DecRef(ptr %made)
-  br label %answered
-answered:
+  %failed = call i1 @mjgranular_has_failed(ptr %made)
   %said = load volatile i64, ptr %answer
   %with = load volatile i64, ptr %second
   %thread = call i64 @PyThread_get_thread_ident()
@@ -149,23 +153,14 @@ answered:
 silent:
   br i1 %main, label %again, label %done
 again:
-  %noticing = inttoptr i64 NOTICE to ptr
-  %noticed = call ptr (ptr, ptr, ...) @PyObject_CallFunction(ptr %noticing, ptr @format_of_place,
-    i64 %place)
-  %lost_again = icmp eq ptr %noticed, null
-  br i1 %lost_again, label %clear, label %release
-clear:
-  call void @PyErr_Clear()
-  br label %look
-release:
-  call void @Py_DecRef(ptr %noticed)
-  br label %look
-look:
+  %noticed = call ptr (ptr, ptr, ...) @PyObject_CallFunction(
+    ptr inttoptr (i64 NOTICE to ptr), ptr @format_of_place, i64 %place)
+  %failed_again = call i1 @mjgranular_has_failed(ptr %noticed)
   %then = load volatile i64, ptr %answer
   %notice = icmp eq i64 %then, INTERRUPT
   br i1 %notice, label %interrupted, label %signal
 interrupted:
-  store volatile i64 %data, ptr %cell
+  store volatile i64 %data, ptr inttoptr (i64 PAUSING to ptr)
   br label %signal
 signal:
   call void @PyErr_SetInterrupt()
@@ -189,18 +184,13 @@ define i32 @NAME_FIELD(i64 %model, i32 %instanceMORE) {
   %answer = alloca i64
   store volatile i64 0, ptr %answer
   %place = ptrtoint ptr %answer to i64
-  %function = inttoptr i64 FUNCTION to ptr
   %held = call i32 @PyGILState_Ensure()
-  %made = call ptr (ptr, ptr, ...) @PyObject_CallFunction(ptr %function, ptr @FIELD_format,
-    i64 %model, i32 %instance, i64 %place)
-  %failed = icmp eq ptr %made, null
-  br i1 %failed, label %lost, label %counted
-lost:
-  call void @PyErr_Clear()
+  %made = call ptr (ptr, ptr, ...) @PyObject_CallFunction(
+    ptr inttoptr (i64 FUNCTION to ptr), ptr @FIELD_format, i64 %model, i32 %instance, i64 %place)
+  %failed = call i1 @mjgranular_has_failed(ptr %made)
+  br i1 %failed, label %interrupt, label %leave
+interrupt:
   call void @PyErr_SetInterrupt()
-  br label %leave
-counted:
-  call void @Py_DecRef(ptr %made)
   br label %leave
 leave:
   call void @PyGILState_Release(i32 %held)
@@ -281,9 +271,9 @@ def _common() -> dict[str, int]:
     publish_functions(ctypes.pythonapi, _PYTHON)
     code = _filled(_COMMON, PAUSING=ctypes.addressof(pausing)).replace("[WHY]", _text(_WHY))
     fields = {f"mjgranular_{field}": field for field in ("compute", "reset", "destroy")}
-    for_kernels = (FAIL, UNPREPARED, FORGET)
-    found = load_functions(code, (*fields, *for_kernels))
-    for name in for_kernels:
+    shared = (FAIL, UNPREPARED, FORGET, _HAS_FAILED)
+    found = load_functions(code, (*fields, *shared))
+    for name in shared:
         publish(name, found[name])
     return {field: found[name] for name, field in fields.items()}
 

@@ -11,7 +11,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from mjgranular._util.checks import check_model, kind_of
+from mjgranular._util.checks import check_kind, kind_of
 from mjgranular.engine.instances import instance_of
 from mjgranular.errors import InputError, shown
 from mjgranular.sand.prepare import PreparedSand
@@ -90,7 +90,7 @@ def tune(
         InputError: it is not tunable, `state` does not fit the model, or a value is not a number,
             negative or not finite. Then nothing is written.
     """
-    check_model(model, "tune")
+    check_kind(model, mujoco.MjModel, "tune")
     if not isinstance(state, np.ndarray):
         meant = "; use data.plugin_state" if isinstance(state, mujoco.MjData) else ""
         raise InputError(
@@ -108,12 +108,9 @@ def tune(
             f"the state must have {model.npluginstate} numbers, as plugin_state of this model, "
             f"not the shape {state.shape}"
         )
-    values = dict(zip(STATE, (active, strength, density, height), strict=True))
-    given = {
-        key: _number(key, value, state.shape[:-1])
-        for key, value in values.items()
-        if value is not None
-    }
+    values = zip(STATE, (active, strength, density, height), strict=True)
+    rows = state.shape[:-1]
+    given = {key: _number(key, value, rows) for key, value in values if value is not None}
     first = int(model.plugin_stateadr[instance])
     for key, value in given.items():
         state[..., first + STATE.index(key)] = value

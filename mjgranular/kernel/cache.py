@@ -33,6 +33,7 @@ try:
 except ImportError:  # Windows
     fcntl = None
 
+HAS_LOCKS = fcntl is not None
 T = TypeVar("T")
 
 _settings: Any = config
@@ -84,16 +85,11 @@ def has(build: str, name: str) -> bool:
     return any(_is_complete(root / build / name) for root in _folders_to_read())
 
 
-def can_wait() -> bool:
-    """Return True if processes can wait for each other's programs (`alone`)."""
-    return fcntl is not None and can_save()
-
-
 @contextmanager
 def alone(build: str, name: str) -> Iterator[None]:
     """Let one process at a time compile a program; others wait, to find it cached afterwards.
 
-    Without locks of files, on Windows and some file systems, they do not wait.
+    Without locks of files, on Windows (`HAS_LOCKS`) and some file systems, they do not wait.
     """
     with ExitStack() as opened:
         with suppress(OSError, StopIteration):

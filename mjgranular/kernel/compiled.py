@@ -104,7 +104,7 @@ def program_addresses(*programs: tuple[Any, str, str]) -> list[int]:
     """
     missing = [program for program in programs if program[0] and not _is_known(*program)]
     named = [program for program in missing if "<" not in program[0].py_func.__qualname__]
-    if named and len(missing) > len(named) and cache.can_wait():
+    if named and len(missing) > len(named) and cache.HAS_LOCKS and cache.can_save():
         _compile_beside(named)
     addresses = [program_address(*program) if program[0] else 0 for program in programs]
     if missing:
@@ -156,11 +156,10 @@ def _find_or_make(key: tuple[Any, str, Any], what: str) -> Any:
     if settings.DISABLE_JIT:
         raise InputError("sand has to be compiled: unset NUMBA_DISABLE_JIT")
     with PROGRAMS:
-        found = _programs.get(key)
-        if found is None:
+        if key not in _programs:
             with compiling(what), event.install_listener("numba:compile", _Progress()):
-                found = _programs[key] = _load_or_compile(*key, what)
-        return found
+                _programs[key] = _load_or_compile(*key, what)
+        return _programs[key]
 
 
 def _load_or_compile(kernel: Any, signature: str, make: Callable[..., Any], what: str) -> Any:

@@ -22,24 +22,21 @@ _MANTISSA = 0x000FFFFFFFFFFFFF
 _LEAST, _MOST = -700.0, 700.0
 
 
-@intrinsic
-def bits_of(typingctx: Any, number: Any) -> Any:
-    """Return the 64 bits of a number."""
+def _same_bits(result: Any, argument: Any) -> Any:
+    """Make a kernel that returns the value of one type with the 64 bits of one of another."""
 
-    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        return builder.bitcast(args[0], context.get_value_type(types.int64))
+    @intrinsic
+    def cast(typingctx: Any, value: Any) -> Any:
+        def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+            return builder.bitcast(args[0], context.get_value_type(result))
 
-    return types.int64(types.float64), codegen
+        return result(argument), codegen
+
+    return cast
 
 
-@intrinsic
-def number_of(typingctx: Any, bits: Any) -> Any:
-    """Return the number with these 64 bits."""
-
-    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        return builder.bitcast(args[0], context.get_value_type(types.float64))
-
-    return types.float64(types.int64), codegen
+bits_of = _same_bits(types.int64, types.float64)
+number_of = _same_bits(types.float64, types.int64)
 
 
 @partial(compiled, inline=True)

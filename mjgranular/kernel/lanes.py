@@ -73,17 +73,12 @@ def spread(context: Any, builder: Any, kind: Any, value: Any, lanes: Lanes) -> A
 
 
 def _define(function: Any, emit: Callable[..., Any], result: type, arguments: int) -> None:
-    def result_of(args: Any) -> Any:
+    def result_of(*args: Any) -> Any:
         lanes = lanes_among(args)
         return None if lanes is None else result(lanes.count)
 
-    def type_of_one(context: Any) -> Callable[..., Any]:
-        return lambda a: result_of((a,))
-
-    def type_of_two(context: Any) -> Callable[..., Any]:
-        return lambda a, b: result_of((a, b))
-
-    type_callable(function)(type_of_one if arguments == 1 else type_of_two)
+    typers = {1: lambda a: result_of(a), 2: lambda a, b: result_of(a, b)}  # numba counts arguments
+    type_callable(function)(lambda context: typers[arguments])
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         lanes: Any = lanes_among(sig.args)

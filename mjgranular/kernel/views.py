@@ -8,16 +8,8 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba import from_dtype, types
+from numba import extending, from_dtype, types
 from numba.core.typing.templates import AttributeTemplate
-from numba.extending import (
-    infer_getattr,
-    intrinsic,
-    lower_getattr_generic,
-    lower_setattr_generic,
-    models,
-    register_model,
-)
 
 from mjgranular.kernel.memory import emit_array
 
@@ -57,13 +49,13 @@ class Views(types.Type):
         return builder.inttoptr(builder.add(address, _WORD(fields[field][1])), word.as_pointer())
 
 
-@register_model(Views)
-class _ViewsModel(models.PrimitiveModel):
+@extending.register_model(Views)
+class _ViewsModel(extending.models.PrimitiveModel):
     def __init__(self, dmm: Any, fe_type: Views) -> None:
         super().__init__(dmm, fe_type, _WORD)
 
 
-@infer_getattr
+@extending.infer_getattr
 class _Fields(AttributeTemplate):
     key = Views
 
@@ -71,7 +63,7 @@ class _Fields(AttributeTemplate):
         return views.kind(field)
 
 
-@lower_getattr_generic(Views)
+@extending.lower_getattr_generic(Views)
 def _read(context: Any, builder: Any, views: Views, address: Any, field: str) -> Any:
     def word(name: str) -> Any:
         return builder.load(views.place(builder, address, name))
@@ -84,7 +76,7 @@ def _read(context: Any, builder: Any, views: Views, address: Any, field: str) ->
     return emit_array(context, builder, views.kind(field), itemsize, word(field), shape)
 
 
-@lower_setattr_generic(Views)
+@extending.lower_setattr_generic(Views)
 def _write(context: Any, builder: Any, sig: Any, args: Any, field: str) -> Any:
     builder.store(args[1], sig.args[0].place(builder, args[0], field))
 
@@ -92,7 +84,7 @@ def _write(context: Any, builder: Any, sig: Any, args: Any, field: str) -> Any:
 def views_at(views: Views) -> Any:
     """Make a kernel `at(address)` that returns the record there."""
 
-    @intrinsic
+    @extending.intrinsic
     def at(typingctx: Any, address: Any) -> Any:
         def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
             return args[0]

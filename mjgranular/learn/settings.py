@@ -128,25 +128,14 @@ def find_settings(
     Args:
         env_id: Gymnasium id, such as `mjgranular/ChainSwim-v0`.
         algorithm: None for the one that the file names.
-        file: file to read; None for that of the environment or, where there is none, the default.
+        file: file to read, with `algorithm`, a table `[environment]`, and one for each algorithm;
+            None for that of the environment or, where there is none, the default.
 
     Raises:
         InputError: the file cannot be read, or has a wrong key or value.
         UnknownNameError: no such algorithm, or the file has no table for it.
     """
-    return read_settings(file or settings_file(env_id), algorithm=algorithm)
-
-
-def settings_file(env_id: str) -> Path:
-    """Return the file with the settings that come with the package for an environment."""
-    # `module:namespace/Name-v0` is Gymnasium's way to name an environment of a module.
-    name = env_id.rpartition(":")[2]
-    file = FOLDER / f"{name}.toml"
-    return file if file.is_file() and file.is_relative_to(FOLDER) else FOLDER / "default.toml"
-
-
-def read_settings(file: Path, *, algorithm: str | None = None) -> Settings:
-    """Read settings: `algorithm`, a table `[environment]`, and a table for each algorithm."""
+    file = file or settings_file(env_id)
     where, read = place(file), read_file(file, "the settings", largest=_LARGEST_FILE)
     try:
         content = tomllib.loads(read.decode())
@@ -198,6 +187,14 @@ def change(settings: Settings, changes: Sequence[str] | str) -> Settings:
         else:
             changed["arguments"][name] = parsed
     return replace(settings, **changed)
+
+
+def settings_file(env_id: str) -> Path:
+    """Return the file with the settings that come with the package for an environment."""
+    # `module:namespace/Name-v0` is Gymnasium's way to name an environment of a module.
+    name = env_id.rpartition(":")[2]
+    file = FOLDER / f"{name}.toml"
+    return file if file.is_file() and file.is_relative_to(FOLDER) else FOLDER / "default.toml"
 
 
 def toml_value(text: str) -> Any:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import signal
-import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -14,6 +13,7 @@ import numpy as np
 from mjgranular._util import files
 from mjgranular._util.extras import require
 from mjgranular._util.result_folder import CONFIG
+from mjgranular._util.signals import kept_signals
 from mjgranular._util.versions import versions
 from mjgranular.errors import GranularError, InputError, shown, warn_user
 from mjgranular.learn import environments
@@ -245,22 +245,13 @@ def _learn(
 def collected_signals() -> Iterator[list[int]]:
     """Collect SIGTERM and SIGINT; the second one acts at once, as usual."""
     received: list[int] = []
-    if threading.current_thread() is not threading.main_thread():
-        yield received  # signals belong to the main thread
-        return
-    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
+    with kept_signals(signal.SIGTERM, signal.SIGINT) as before:
 
-    def restore() -> None:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        def receive(number: int, _frame: object) -> None:
+            received.append(number)
+            for each, handler in before.items():
+                signal.signal(each, handler)
 
-    def receive(number: int, _frame: object) -> None:
-        received.append(number)
-        restore()
-
-    for number in before:
-        signal.signal(number, receive)
-    try:
+        for number in before:
+            signal.signal(number, receive)
         yield received
-    finally:
-        restore()

@@ -13,7 +13,7 @@ from typing import Any
 
 import mujoco
 
-from mjgranular._util.window import opens_window
+from mjgranular._util.display import opens_window
 from mjgranular.errors import RenderError
 
 FRAME = 1 / 60

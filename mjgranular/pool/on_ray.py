@@ -3,13 +3,12 @@
 import os
 import signal
 import socket
-import threading
-from collections.abc import Iterator
 from concurrent.futures import Future
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from typing import Any
 
 from mjgranular._util.extras import require
+from mjgranular._util.signals import kept_signals
 from mjgranular._util.versions import mismatch, versions
 from mjgranular.errors import InputError
 from mjgranular.pool.workers import Answer, Function, WorkerLostError, Workers, run_task
@@ -84,7 +83,8 @@ def _start(ray: Any, workers: Workers) -> None:
             _check_port(workers.address)
         options = {"address": workers.address}
     try:
-        with _signals_kept():
+        # Ray replaces handlers of these signals, with which nothing of a run is lost.
+        with kept_signals(signal.SIGINT, signal.SIGTERM):
             ray.init(**options, logging_level="ERROR", log_to_driver=False)
     except (ConnectionError, RuntimeError, ValueError) as error:
         reason = " ".join(str(error).split())
@@ -119,17 +119,3 @@ def _check_port(address: str) -> None:
             f"nothing answers at {address} ({error.strerror or error}): is the head of the "
             "cluster up (ray start --head), and its port open from here?"
         ) from None
-
-
-@contextmanager
-def _signals_kept() -> Iterator[None]:
-    """Undo what Ray does to this process's signals, which end a run so that nothing is lost."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

@@ -17,20 +17,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from mjgranular.kernel import memory
 from mjgranular.kernel.compiled import compiled, program_address
 from mjgranular.kernel.fields import rows
 from mjgranular.kernel.lanes import all_of, choose
-from mjgranular.kernel.memory import (
-    SCENE,
-    SURFACE,
-    XMAT,
-    XPOS,
-    floats,
-    records,
-    row_of,
-    scratch,
-    table_at,
-)
+from mjgranular.kernel.memory import floats, records, row_of, scratch, table_at
 from mjgranular.kernel.options import NO_GRAVITY, options_at
 from mjgranular.kernel.vector import (
     Vector,
@@ -429,8 +420,8 @@ def pose_in_plane(table, relief, body):
     axes = vector(
         read_vector(relief.along, 0), read_vector(relief.across, 0), read_vector(relief.normal, 0)
     )
-    away = read_vector(floats(table[XPOS] + 24 * body, 3), 0) - read_vector(relief.origin, 0)
-    return axes @ read_matrix(floats(table[XMAT] + 72 * body, 9), 0), axes @ away
+    away = read_vector(floats(table[memory.XPOS] + 24 * body, 3), 0) - read_vector(relief.origin, 0)
+    return axes @ read_matrix(floats(table[memory.XMAT] + 72 * body, 9), 0), axes @ away
 
 
 @compiled
@@ -464,7 +455,7 @@ def update_kernel(probe: Any, is_flat: bool, dtype: np.dtype) -> Any:
     @compiled
     def update(address, lead):
         table = table_at(address)
-        relief = reliefs(table[SCENE] + table[SURFACE], 1)[0]
+        relief = reliefs(table[memory.SCENE] + table[memory.SURFACE], 1)[0]
         size = relief.size
         state = floats(relief.state, state_length(size))
         feet = _feet(relief.feet, relief.foot_count)

@@ -12,7 +12,6 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from mjgranular._util.names import name_of
 from mjgranular.errors import (
     FloorWarning,
     GranularWarning,
@@ -31,7 +30,7 @@ from mjgranular.relief.relief import frame_of
 from mjgranular.sand.material import DEFAULT_MEDIUM, law_named_in
 from mjgranular.sand.spec import SandSpec
 from mjgranular.shape.select import body_name, collides, is_choice, moves
-from mjgranular.shape.sizes import LARGEST, geom_name, half_extents
+from mjgranular.shape.sizes import LARGEST, geom_name, half_extents, name_of
 from mjgranular.surface import Bed, Plane, Surface
 from mjgranular.surface.floors import CARRIES, WOULD_CARRY, FloorWatch, describe_floors, find_floors
 

@@ -7,11 +7,11 @@ from typing import Self
 import mujoco
 import numpy as np
 
-from mjgranular._util.names import name_of
 from mjgranular.errors import UnknownNameError
 from mjgranular.law.validity import Finding, Measure, Standing, found_at
 from mjgranular.sand.binding import Binding
 from mjgranular.sand.prepare import PreparedSand
+from mjgranular.shape.sizes import name_of
 
 _SHOWN = 3  # bodies in a report's `repr`
 # A body faster than this [m/s] turns in the sand where it turns by more than this [rad] while it

@@ -9,7 +9,7 @@ from typing import Any, Self, Unpack
 import mujoco
 import numpy as np
 
-from mjgranular._util.checks import check_data, check_model, check_switch
+from mjgranular._util.checks import check_kind, check_switch
 from mjgranular.errors import InputError, UnstableError
 from mjgranular.kernel.compiled import entry
 from mjgranular.kernel.memory import BESIDE, UPDATE
@@ -88,7 +88,7 @@ class Sand:
         shared: bool = False,
         **fields: Unpack[SandFields],
     ) -> None:
-        check_model(model, "Sand")
+        check_kind(model, mujoco.MjModel, "Sand")
         check_switch("shared", shared)
         self._model = model
         self._spec = combined(spec, fields)
@@ -229,7 +229,7 @@ class Sand:
         Raises:
             InputError: `data` is not an `MjData`.
         """
-        check_data(data, "Sand")
+        check_kind(data, mujoco.MjData, "Sand")
         binding = self._bindings.pop(data, None)
         if binding is not None:
             self._recent = _NOBODY
@@ -415,7 +415,7 @@ class Sand:
         return self._bind(data).address
 
     def _check_owner(self, data: mujoco.MjData) -> None:
-        check_data(data, "Sand")
+        check_kind(data, mujoco.MjData, "Sand")
         if data.model is not self._model and data.model._address != self._model._address:
             raise InputError(
                 "this MjData belongs to another model, as a deep copy or a pickle of one always "
@@ -436,7 +436,7 @@ class Sand:
         return binding.address
 
     def _bind(self, data: mujoco.MjData) -> Binding:
-        check_data(data, "Sand")
+        check_kind(data, mujoco.MjData, "Sand")
         binding = self._bindings.get(data)
         if binding is None:
             self._check_owner(data)

@@ -8,13 +8,11 @@ import numpy as np
 
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.vector import norm, transposed, vector
-from mjgranular.shape.sizes import check_size, geom_axes, geom_width, half_extents, type_error
+from mjgranular.shape import sizes
 
 BLOB_DTYPE = np.dtype(
     [
-        ("geom", np.int64),
-        ("body", np.int64),
-        ("slot", np.int64),  # row of the body in the binding's table of bodies
+        *sizes.PART_FIELDS,
         ("center", np.float64, (3,)),  # [m], body frame
         ("axes", np.float64, (9,)),  # rotation matrix of the geom in the body frame, row by row
         ("radii", np.float64, (3,)),  # of the ellipsoidal part [m]
@@ -34,24 +32,20 @@ def blobs_from_model(model: mujoco.MjModel, geoms: Sequence[int]) -> np.ndarray:
     a size that is zero or beyond numerical limits, are errors.
     """
     blobs = np.zeros(len(geoms), BLOB_DTYPE)
-    slots: dict[int, int] = {}
-    ordered = sorted(geoms, key=lambda g: (int(model.geom_bodyid[g]), g))
-    for blob, geom in zip(blobs, ordered, strict=True):
-        body = int(model.geom_bodyid[geom])
-        blob["geom"] = geom
-        blob["body"] = body
-        blob["slot"] = slots.setdefault(body, len(slots))
+    blobs["geom"] = sorted(geoms, key=lambda g: (int(model.geom_bodyid[g]), g))
+    sizes.set_bodies(model, blobs)
+    for blob, geom in zip(blobs, blobs["geom"].tolist(), strict=True):
         blob["center"] = model.geom_pos[geom]
-        blob["axes"] = geom_axes(model, geom).ravel()
-        blob["width"] = geom_width(model, geom)
+        blob["axes"] = sizes.geom_axes(model, geom).ravel()
+        blob["width"] = sizes.geom_width(model, geom)
         _set_support(model, geom, blob)
     return blobs
 
 
 def _set_support(model: mujoco.MjModel, geom: int, blob: np.void) -> None:
     kind = _GEOM(int(model.geom_type[geom]))
-    half = half_extents(model, geom)
-    check_size(model, geom)
+    half = sizes.half_extents(model, geom)
+    sizes.check_size(model, geom)
     if kind in (_GEOM.mjGEOM_SPHERE, _GEOM.mjGEOM_ELLIPSOID):
         blob["radii"] = half
     elif kind == _GEOM.mjGEOM_CAPSULE:
@@ -66,7 +60,7 @@ def _set_support(model: mujoco.MjModel, geom: int, blob: np.void) -> None:
             rotation = blob["axes"].reshape(3, 3)
             blob["center"] += rotation @ model.geom_aabb[geom, :3]
     else:
-        raise type_error(model, geom)
+        raise sizes.type_error(model, geom)
 
 
 @compiled

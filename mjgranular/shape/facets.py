@@ -6,26 +6,14 @@ from typing import Literal
 import mujoco
 import numpy as np
 
-from mjgranular.shape import patches, tessellation
+from mjgranular.shape import patches, sizes, tessellation
 from mjgranular.shape.patches import mesh_corners
 from mjgranular.shape.rigid import exposures, in_own_frames, join_faces
-from mjgranular.shape.sizes import (
-    check_count,
-    check_resolution,
-    check_size,
-    geom_axes,
-    geom_width,
-    half_extents,
-    resolutions,
-    type_error,
-)
 from mjgranular.shape.tessellation import Cells
 
 FACET_DTYPE = np.dtype(
     [
-        ("geom", np.int64),
-        ("body", np.int64),
-        ("slot", np.int64),  # row of the body in the binding's table of bodies
+        *sizes.PART_FIELDS,
         ("point", np.float64, (3,)),  # centroid [m], body frame
         ("normal", np.float64, (3,)),  # unit, outward, body frame
         ("area", np.float64),  # exposed to sand [m^2] (`shape.rigid`)
@@ -84,12 +72,11 @@ def facets_from_model(
     """
     ordered = sorted(set(geoms), key=lambda g: (int(model.geom_bodyid[g]), g))
     if resolution is None:
-        rings = resolutions(model, ordered)
+        rings = sizes.resolutions(model, ordered)
     else:
-        rings = [check_resolution(resolution, 2, FINEST)] * len(ordered)
+        rings = [sizes.check_resolution(resolution, 2, FINEST)] * len(ordered)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    slots: dict[int, int] = {}
     parts = []
     count = 0
     # One surface at a time: the cells of all would fill the memory.
@@ -104,7 +91,7 @@ def facets_from_model(
             facets = (
                 patches.gathered(corners, fine) if meshes == "patches" else patches.single(corners)
             )
-            flat = patches.flatness(facets, geom_width(model, geom))
+            flat = patches.flatness(facets, sizes.geom_width(model, geom))
         else:
             skin = _skin(model, geom, fine)
             if hidden == "drop":
@@ -112,16 +99,13 @@ def facets_from_model(
             facets = skin.gathered()
             flat = (np.abs(facets.spread).max(axis=(1, 2), initial=0.0) < _FLAT).astype(float)
         count += len(facets)
-        check_count(count)
+        sizes.check_count(count)
         part = np.zeros(len(facets), FACET_DTYPE)
         parts.append(part)
         if not len(part):
             continue
-        rotation = geom_axes(model, geom)
-        body = int(model.geom_bodyid[geom])
+        rotation = sizes.geom_axes(model, geom)
         part["geom"] = geom
-        part["body"] = body
-        part["slot"] = slots.setdefault(body, len(slots))
         part["point"] = facets.points @ rotation.T + model.geom_pos[geom]
         part["normal"] = facets.normals @ rotation.T
         part["area"] = facets.areas
@@ -130,9 +114,10 @@ def facets_from_model(
         plane = np.abs(facets.spread).max(axis=(1, 2)) < _FLAT
         part["spread"] = np.where(plane[:, None, None], 0.0, facets.spread @ rotation.T)
         part["extent"] = np.linalg.norm(facets.edges, axis=2).sum(axis=1)
-        part["width"] = geom_width(model, geom)
+        part["width"] = sizes.geom_width(model, geom)
         part["flat"] = flat
     facets, own = np.concatenate(parts), in_own_frames(model)
+    sizes.set_bodies(model, facets)
     if meshes == "patches":
         join_faces(model, own, facets)
     else:
@@ -170,9 +155,9 @@ def hidden_skin(
             near = np.ones(len(points), bool)
             for joint in joints:
                 away = np.linalg.norm(points - data.xanchor[joint], axis=1)
-                near &= away <= (0.5 + _TOUCH) * geom_width(model, other)
+                near &= away <= (0.5 + _TOUCH) * sizes.geom_width(model, other)
             back, place = data.geom_xmat[other].reshape(3, 3), data.geom_xpos[other]
-            step = _TOUCH * half_extents(model, other).max() * normals
+            step = _TOUCH * sizes.half_extents(model, other).max() * normals
             covered = _inside(model, other, (points + step - place) @ back)
             if other < geom:
                 covered |= _inside(model, other, (points - step - place) @ back)
@@ -201,7 +186,7 @@ def _inside(model: mujoco.MjModel, geom: int, points: np.ndarray) -> np.ndarray:
     """Return which points [m] in the frame of a geom are inside it, shape (n,)."""
     size, kind = model.geom_size[geom], int(model.geom_type[geom])
     if kind in (_GEOM.mjGEOM_SPHERE, _GEOM.mjGEOM_ELLIPSOID):
-        return ((points / half_extents(model, geom)) ** 2).sum(axis=1) < 1
+        return ((points / sizes.half_extents(model, geom)) ** 2).sum(axis=1) < 1
     if kind == _GEOM.mjGEOM_BOX:
         return (np.abs(points) < size).all(axis=1)
     across, along = np.hypot(points[:, 0], points[:, 1]), np.abs(points[:, 2])
@@ -222,6 +207,6 @@ def _skin(model: mujoco.MjModel, geom: int, resolution: int) -> Cells:
     }
     shape = shapes.get(_GEOM(int(model.geom_type[geom])))
     if shape is None:
-        raise type_error(model, geom)
-    check_size(model, geom)
+        raise sizes.type_error(model, geom)
+    sizes.check_size(model, geom)
     return shape(model.geom_size[geom])

@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 
 from mjgranular.errors import InputError, warn_user
-from mjgranular.shape.sizes import check_size, geom_name
+from mjgranular.shape.sizes import check_size, geom_name, rod_length
 from mjgranular.shape.tessellation import Facets
 
 # Chosen by measurement (docs/shapes.md): changing one of them by a factor of two has little effect.
@@ -171,17 +171,10 @@ def _with_area(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def _size(corners: np.ndarray) -> float:
-    """Return the length of the rod with the surface's greatest radius of gyration [m].
-
-    Unlike that of the box around a mesh it does not depend on the mesh's orientation.
-    """
+    """Return a size of a mesh [m] that, unlike its box, does not depend on its orientation."""
     corners, _, areas = _with_area(corners)
     points = corners.mean(axis=1)
-    away = points - areas @ points / areas.sum()
-    own = corners - points[:, None]
-    moments = np.einsum("n,ni,nj->ij", areas, away, away)
-    moments += np.einsum("n,nki,nkj->ij", areas, own, own) / 12
-    return float(np.sqrt(12 * np.linalg.eigvalsh(moments / areas.sum())[-1]))
+    return rod_length(points, areas, corners - points[:, None], 12)
 
 
 def mesh_corners(model: mujoco.MjModel, geom: int) -> np.ndarray:

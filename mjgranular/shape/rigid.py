@@ -12,6 +12,8 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
+from mjgranular.shape.sizes import rod_length
+
 # Facets belong to one flat face if their normals differ by less than 3 degrees, their planes by a
 # small share of the geom's width, and if gaps between them are narrow in the same measure. A gap
 # five times as wide is open. Chosen, not measured.
@@ -330,7 +332,7 @@ def _connected(low: np.ndarray, high: np.ndarray, gap: float) -> list[np.ndarray
     while left.any():
         part = np.zeros(len(low), bool)
         found = np.zeros(len(low), bool)
-        found[np.flatnonzero(left)[0]] = True
+        found[left.argmax()] = True
         while found.any():
             part |= found
             found = joined[found].any(axis=0) & ~part
@@ -363,16 +365,9 @@ def _bridged(at: np.ndarray, reach: np.ndarray, geoms: np.ndarray, width: float)
 
 
 def _width_of(at: np.ndarray, half: np.ndarray, areas: np.ndarray) -> float:
-    """Return the width of a flat face: see `join_faces`.
-
-    Of its facets `at` are the centers in the plane [m], `half` the half edges.
-    """
+    """Return the width of a flat face (`join_faces`), of facets with these centers, half edges."""
     area = areas.sum()
-    away = at - areas @ at / area
-    moments = np.einsum("n,ni,nj->ij", areas, away, away)
-    moments += np.einsum("n,nki,nkj->ij", areas, half, half) / 3
-    length = math.sqrt(12 * max(np.linalg.eigvalsh(moments / area)[-1], 0.0))
-    return float(area / max(length, math.sqrt(area)))
+    return float(area / max(rod_length(at, areas, half, 3), math.sqrt(area)))
 
 
 def _second_extent(points: np.ndarray, edges: np.ndarray, areas: np.ndarray) -> float:

@@ -6,23 +6,14 @@ import mujoco
 import numpy as np
 
 from mjgranular.errors import InputError
-from mjgranular.shape.sizes import (
-    check_count,
-    check_resolution,
-    check_size,
-    geom_axes,
-    geom_name,
-    geom_type,
-)
+from mjgranular.shape import sizes
 
 CHOOSE = "choose them with geoms=[...] or bodies=[...]"
 """Advice for Python, which the command line replaces by its own."""
 
 ROD_DTYPE = np.dtype(
     [
-        ("geom", np.int64),
-        ("body", np.int64),
-        ("slot", np.int64),  # row of the body in the binding's table of bodies
+        *sizes.PART_FIELDS,
         ("center", np.float64, (3,)),  # midpoint [m], body frame
         ("axis", np.float64, (3,)),  # unit vector along the rod, body frame
         ("half_length", np.float64),  # [m], including round ends
@@ -43,23 +34,20 @@ def rods_from_model(model: mujoco.MjModel, geoms: Sequence[int]) -> np.ndarray:
     length L.
     """
     rods = np.zeros(len(geoms), ROD_DTYPE)
-    slots: dict[int, int] = {}
+    rods["geom"] = geoms
+    sizes.set_bodies(model, rods)
     for rod, geom in zip(rods, geoms, strict=True):
         kind = int(model.geom_type[geom])
         if kind not in (_CAPSULE, _CYLINDER):
             raise InputError(
-                f"geom {geom_name(model, geom)} is a {geom_type(model, geom)}: the link law acts "
-                f"on slender bodies, capsules and cylinders; {CHOOSE}; or take a medium whose own "
-                "law takes every shape, such as quikrete_medium"
+                f"geom {sizes.geom_name(model, geom)} is a {sizes.geom_type(model, geom)}: the "
+                f"link law acts on slender bodies, capsules and cylinders; {CHOOSE}; or take a "
+                "medium whose own law takes every shape, such as quikrete_medium"
             )
-        check_size(model, geom)
+        sizes.check_size(model, geom)
         radius, half = model.geom_size[geom][:2]
-        body = int(model.geom_bodyid[geom])
-        rod["geom"] = geom
-        rod["body"] = body
-        rod["slot"] = slots.setdefault(body, len(slots))
         rod["center"] = model.geom_pos[geom]
-        rod["axis"] = geom_axes(model, geom)[:, 2]
+        rod["axis"] = sizes.geom_axes(model, geom)[:, 2]
         rod["half_length"] = half + (radius if kind == _CAPSULE else 0.0)
         rod["width"] = 2 * radius
     return rods
@@ -67,8 +55,8 @@ def rods_from_model(model: mujoco.MjModel, geoms: Sequence[int]) -> np.ndarray:
 
 def cut_rods(rods: np.ndarray, pieces: int) -> np.ndarray:
     """Divide every rod into a number of pieces of equal length, each a rod, shape (n * pieces,)."""
-    pieces = check_resolution(pieces, 1, MOST_PIECES)
-    check_count(len(rods) * pieces)
+    pieces = sizes.check_resolution(pieces, 1, MOST_PIECES)
+    sizes.check_count(len(rods) * pieces)
     cut = np.repeat(rods, pieces)
     # Centers of the pieces along the axis, in half-lengths: symmetric to the last bit.
     index = np.arange(pieces)

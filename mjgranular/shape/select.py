@@ -8,8 +8,8 @@ import mujoco
 import numpy as np
 
 from mjgranular._util.checks import kind_of
-from mjgranular._util.names import name_of
 from mjgranular.errors import InputError, UnknownNameError
+from mjgranular.shape.sizes import name_of
 
 Choice = Sequence[str | int] | str | int | None
 """Selection of bodies or geoms: a name or id, or several; None for no selection."""

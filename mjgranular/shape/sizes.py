@@ -1,4 +1,4 @@
-"""Sizes of geoms, limits on sizes and numbers of elements, and the default resolution of geoms."""
+"""Names and sizes of geoms, limits on sizes and on numbers of elements, the default resolution."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -7,7 +7,6 @@ import mujoco
 import numpy as np
 
 from mjgranular._util import checks
-from mjgranular._util.names import name_of
 from mjgranular.errors import InputError
 
 SMALLEST, LARGEST = 1e-9, 1e9
@@ -18,7 +17,23 @@ MOST_ELEMENTS = 1_000_000
 """Maximum number in one sand. Chosen: a step then takes tens of milliseconds, and their tables 1
 GB."""
 
+PART_FIELDS = (
+    ("geom", np.int64),
+    ("body", np.int64),
+    ("slot", np.int64),  # row of the body in the binding's table of bodies
+)
+"""Fields with which the records of all kinds of elements begin."""
+
 _GEOM = mujoco.mjtGeom
+
+
+def name_of(model: mujoco.MjModel, kind: str, number: int) -> str:
+    """Return the name of a body, geom or the like, "" for none; escape bytes that are not UTF-8.
+
+    MuJoCo accepts such bytes, but its Python bindings raise `UnicodeDecodeError` on reading them.
+    """
+    names, begin = model.names, int(getattr(model, f"name_{kind}adr")[number])
+    return names[begin : names.index(b"\0", begin)].decode(errors="backslashreplace")
 
 
 def geom_name(model: mujoco.MjModel, geom: int) -> str:
@@ -30,6 +45,13 @@ def geom_name(model: mujoco.MjModel, geom: int) -> str:
 def geom_type(model: mujoco.MjModel, geom: int) -> str:
     """Return the type of a geom in a word."""
     return _GEOM(int(model.geom_type[geom])).name.removeprefix("mjGEOM_").lower()
+
+
+def set_bodies(model: mujoco.MjModel, elements: np.ndarray) -> None:
+    """Set `body` and `slot` of elements, of which `geom` is set (`PART_FIELDS`)."""
+    bodies = model.geom_bodyid[elements["geom"]].tolist()
+    slots = {body: row for row, body in enumerate(dict.fromkeys(bodies))}
+    elements["body"], elements["slot"] = bodies, [slots[body] for body in bodies]
 
 
 def geom_axes(model: mujoco.MjModel, geom: int) -> np.ndarray:
@@ -57,6 +79,19 @@ def half_extents(model: mujoco.MjModel, geom: int) -> np.ndarray:
     if kind == _GEOM.mjGEOM_MESH:
         return model.geom_aabb[geom, 3:]
     return size
+
+
+def rod_length(points: np.ndarray, areas: np.ndarray, offsets: np.ndarray, parts: float) -> float:
+    """Return the length of the rod that has the greatest radius of gyration of a surface [m].
+
+    Of its pieces `points` are the centers, and the sum of squares of the `offsets` from them, shape
+    (n, k, dimensions), over `parts` is the second moment.
+    """
+    area = areas.sum()
+    away = points - areas @ points / area
+    moments = np.einsum("n,ni,nj->ij", areas, away, away)
+    moments += np.einsum("n,nki,nkj->ij", areas, offsets, offsets) / parts
+    return float(np.sqrt(12 * max(np.linalg.eigvalsh(moments / area)[-1], 0.0)))
 
 
 def check_size(model: mujoco.MjModel, geom: int, *, flat: bool = False) -> None:

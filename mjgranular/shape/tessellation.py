@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -45,8 +45,7 @@ class Facets:
         return len(self.areas)
 
 
-@dataclass(frozen=True)
-class Cells:
+class Cells(NamedTuple):
     """Small pieces of a surface, and the patches they are grouped into."""
 
     points: np.ndarray  # on the surface [m], shape (n, 3)
@@ -56,9 +55,7 @@ class Cells:
 
     def only(self, chosen: np.ndarray) -> "Cells":
         """Return those selected by a mask, shape (n,), in the same patches."""
-        return Cells(
-            self.points[chosen], self.vectors[chosen], self.places[chosen], self.patches[chosen]
-        )
+        return Cells(*(values[chosen] for values in self))
 
     def gathered(self) -> Facets:
         """Return one facet for each patch that has an area."""
@@ -111,12 +108,8 @@ def patches(skin: Skin, along: int, around: int) -> Cells:
     places = np.stack([i % _FINE, j % _FINE], axis=-1) * (2 / _FINE) - (1 - 1 / _FINE)
     patch = (i // _FINE) * around + j // _FINE
     order = np.argsort(patch, axis=None, kind="stable")  # the cells of a patch are consecutive
-    return Cells(
-        middles.reshape(-1, 3)[order],
-        vectors.reshape(-1, 3)[order],
-        places.reshape(-1, 2)[order],
-        patch.ravel()[order],
-    )
+    cells = (middles.reshape(-1, 3), vectors.reshape(-1, 3), places.reshape(-1, 2), patch.ravel())
+    return Cells(*(values[order] for values in cells))
 
 
 def rings(skin: Skin, counts: Sequence[int], turned: Sequence[float] | None = None) -> Cells:
@@ -136,13 +129,9 @@ def rings(skin: Skin, counts: Sequence[int], turned: Sequence[float] | None = No
 def joined(parts: Sequence[Cells]) -> Cells:
     """Concatenate all cells, and renumber the patches."""
     counts = [part.patches.max(initial=-1) + 1 for part in parts]
-    first = np.cumsum([0, *counts])
-    return Cells(
-        np.concatenate([part.points for part in parts]),
-        np.concatenate([part.vectors for part in parts]),
-        np.concatenate([part.places for part in parts]),
-        np.concatenate([part.patches + k for part, k in zip(parts, first, strict=False)]),
-    )
+    first = np.cumsum([0, *counts[:-1]])
+    apart = [part._replace(patches=part.patches + k) for part, k in zip(parts, first, strict=True)]
+    return Cells(*map(np.concatenate, zip(*apart, strict=True)))
 
 
 def _revolved(profile: Callable[[np.ndarray], Any], up: float = 1.0) -> Skin:

@@ -5,10 +5,9 @@ import math
 import mujoco
 import numpy as np
 
-from mjgranular._util.names import name_of
 from mjgranular.errors import InputError, UnknownNameError, shown
 from mjgranular.shape.select import Choice, find_all
-from mjgranular.shape.sizes import geom_type
+from mjgranular.shape.sizes import geom_type, name_of
 
 
 def find_geom(model: mujoco.MjModel, name: str, kind: mujoco.mjtGeom, word: str) -> int:

@@ -105,10 +105,10 @@ def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any, remem
     element_struct = struct_of(kernel.element)
     sample = translated(kernel.sample)
     has_cull = kernel.cull is not None and kernel.probe is not None
-    cull = translated(kernel.cull) if has_cull else _never_dry
-    ceiling = translated(kernel.probe) if has_cull else _no_ceiling
+    cull: Any = translated(kernel.cull) if has_cull else None
+    ceiling: Any = translated(kernel.probe) if has_cull else None
     adds_mass = kernel.added is not None
-    added = translated(kernel.added) if adds_mass else _nothing_added
+    added: Any = translated(kernel.added) if adds_mass else None
     resistance = resistance_of(kernel)
     surface_in = in_world if remembers else in_any_world
 
@@ -199,7 +199,9 @@ def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any, remem
                 v = velocity_at(ahead, arm)
                 start = velocity_at(now, arm)
                 before = velocity_at(sure, arm)
-                if _turned_back(v, before, eps):
+                # A point that has just stopped is not about to reverse. Trailing faces have no
+                # resistance: a step that started from a reversed velocity would end far off.
+                if wp.dot(v, before) < 0.0 and wp.length(before) > _STILL * eps:
                     v = before
                 fastest = wp.max(fastest, wp.length(v))
                 c = resistance(place, law, g, v, soft, strong, dense)
@@ -237,16 +239,6 @@ def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any, remem
         state.speed[world, s] = fastest
 
     return resist
-
-
-@wp.func
-def _turned_back(predicted: wp.vec3, now: wp.vec3, eps: float):
-    """Return whether a prediction reverses a velocity that is not already at rest.
-
-    A point that has just stopped is not about to reverse. Trailing faces have no resistance, so a
-    step that started from a reversed velocity would end far from the solution.
-    """
-    return wp.dot(predicted, now) < 0.0 and wp.length(now) > _STILL * eps
 
 
 @wp.func
@@ -299,21 +291,6 @@ def _with_momentum(
         tangent += rate * wp.outer(n, n)
         kicked += start * n
     return tangent, kicked
-
-
-@wp.func
-def _never_dry(element: Any, level: Any):
-    return 1.0
-
-
-@wp.func
-def _no_ceiling(surface: Any, point: wp.vec3):
-    return 0.0, wp.vec3()
-
-
-@wp.func
-def _nothing_added(found: Any, v: wp.vec3, h: float):
-    return 0.0
 
 
 @wp.kernel(enable_backward=False)

@@ -5,11 +5,11 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from mjgranular._util.checks import check_spec
+from mjgranular._util.checks import check_kind
 from mjgranular.errors import InputError
-from mjgranular.relief.relief import Relief
+from mjgranular.relief.relief import Relief, frame_of
 from mjgranular.shape.select import last_dof
-from mjgranular.surface import HeightField, Plane, Surface
+from mjgranular.surface import Bed, HeightField, Plane, Surface
 from mjgranular.warp.motions import SLOT_DTYPE
 
 _HAIR = 1e-5
@@ -27,15 +27,15 @@ def slots_of(model: mujoco.MjModel, elements: np.ndarray) -> tuple[np.ndarray, n
     slots["body"] = elements["body"][first]
     slots["root"] = model.body_rootid[slots["body"]]
     slots["first"], slots["end"] = first, [*first[1:], len(elements)]
-    chains = [chain_of(model, int(body)) for body in slots["body"]]
+    chains = [dofs_above(model, last_dof(model, int(body))) for body in slots["body"]]
     ends = np.cumsum([len(chain) for chain in chains])
     slots["chain"], slots["chain_end"] = [0, *ends[:-1]], ends
     return slots, np.array([dof for chain in chains for dof in chain], np.int32)
 
 
-def chain_of(model: mujoco.MjModel, body: int) -> list[int]:
-    """List the degrees of freedom that move a body, from the last up."""
-    dof, chain = last_dof(model, body), []
+def dofs_above(model: mujoco.MjModel, dof: int) -> list[int]:
+    """List a degree of freedom and all above it in the tree, up to the root."""
+    chain = []
     while dof >= 0:
         chain.append(dof)
         dof = int(model.dof_parentid[dof])
@@ -57,13 +57,10 @@ def slots_of_dofs(nv: int, slots: np.ndarray, chain: np.ndarray) -> tuple[list[i
 
 def up_of(surface: Surface, model: mujoco.MjModel) -> np.ndarray:
     """Return the direction in which a surface is raised, a unit vector in the world frame."""
-    if isinstance(surface, Relief):
-        return up_of(surface.base, model)
-    if isinstance(surface, Plane):
-        return surface.normal
-    if isinstance(surface, HeightField):
-        return surface.record(model)["axes"][0][2::3]
-    return np.array([0.0, 0.0, 1.0])
+    base = surface.base if isinstance(surface, Relief) else surface
+    if not isinstance(base, Plane | Bed | HeightField):
+        return np.array([0.0, 0.0, 1.0])
+    return frame_of(base, base.record(model)[0])["normal"]
 
 
 def check_no_plugins(model: mujoco.MjModel) -> None:
@@ -102,11 +99,7 @@ def check_model(model: mujoco.MjModel, chain: np.ndarray, m: Any) -> None:
             "too: leave one of the two flags as it is"
         )
     for dof in sorted(set(chain.tolist())):
-        above = dof
-        count = 0
-        while above >= 0:
-            above, count = int(model.dof_parentid[above]), count + 1
-        if model.M_rownnz[dof] < count:
+        if model.M_rownnz[dof] < len(dofs_above(model, dof)):
             body = model.body(int(model.dof_bodyid[dof])).name or "1"
             raise InputError(
                 f"MuJoCo keeps the inertia of the body {body!r} as a diagonal, where sand that "
@@ -128,7 +121,7 @@ def coupled(spec: mujoco.MjSpec) -> mujoco.MjSpec:
     Raises:
         InputError: `spec` is not an `MjSpec`.
     """
-    check_spec(spec, "coupled")
+    check_kind(spec, mujoco.MjSpec, "coupled")
     spec = spec.copy()
     model = spec.compile()
     for body in spec.bodies:

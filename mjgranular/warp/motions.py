@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from mjgranular.kernel.motion import Motion
+from mjgranular.kernel import motion
 from mjgranular.law.kernel import LawKernel
 from mjgranular.law.multiplier import TWO_LIMITS
 from mjgranular.law.secant import secant
@@ -37,9 +37,9 @@ Its reference point is the one with the greatest resistance, at `arm` from the c
 tree. That point moves least; about any other, the power of a body turning about a standing foot
 would be a small difference of large numbers."""
 
-WarpMotion = struct_of(Motion)
+WarpMotion = struct_of(motion.Motion)
 
-secant_of = translated(secant)
+secant_of, velocity_at = translated(secant), translated(motion.velocity_at)
 
 
 @wp.func
@@ -47,12 +47,6 @@ def spatial(vectors: wp.array2d(dtype=wp.spatial_vector), world: int, i: int):
     """Return a spatial vector of MuJoCo as a motion."""
     both = vectors[world, i]
     return WarpMotion(wp.spatial_top(both), wp.spatial_bottom(both))
-
-
-@wp.func
-def velocity_at(motion: WarpMotion, arm: wp.vec3):
-    """Return the velocity of a point at `arm` from the motion's reference point."""
-    return motion.linear + wp.cross(motion.angular, arm)
 
 
 @wp.func

@@ -18,26 +18,8 @@ from mjgranular.relief.relief import Relief, place_in_plane
 from mjgranular.sand.chosen import choose_sand, remembering
 from mjgranular.sand.spec import SandFields, SandSpec, combined
 from mjgranular.scheme import Auto, Implicit, get_scheme
+from mjgranular.warp import damping, fit
 from mjgranular.warp.constraints import Constraints
-from mjgranular.warp.damping import (
-    State,
-    Tables,
-    assemble_damping,
-    assemble_forces,
-    predict,
-    predict_again,
-    resist_kernel,
-    stop_creep,
-    warm_start,
-    wrenches_of_step,
-)
-from mjgranular.warp.fit import (
-    check_model,
-    check_no_plugins,
-    slots_of,
-    slots_of_dofs,
-    up_of,
-)
 from mjgranular.warp.memory import WarpMemory
 from mjgranular.warp.motions import Damping, Slot
 from mjgranular.warp.translate import (
@@ -117,7 +99,7 @@ class WarpSand:
                 "in MuJoCo Warp forces always belong to the velocity at the step's end: leave "
                 "scheme out"
             )
-        check_no_plugins(model)
+        fit.check_no_plugins(model)
         chosen = choose_sand(model, spec)
         self.law, self.medium, self.surface = chosen.law, chosen.medium, chosen.surface
         self._model, self._elements = model, chosen.elements
@@ -129,7 +111,7 @@ class WarpSand:
         self._corrections, self._softness = corrections, float(softness)
         self._scene = make_scene(chosen.law, chosen.medium, self.surface, model)
         self._kernel = self.law.kernel_of_forces(self.surface)
-        self._slots, self._chain = slots_of(model, chosen.elements)
+        self._slots, self._chain = fit.slots_of(model, chosen.elements)
         self.bodies = tuple(model.body(int(body)).name or str(body) for body in self._slots["body"])
         self._attached_to: Any = None
 
@@ -152,7 +134,7 @@ class WarpSand:
             raise InputError(
                 "this sand is attached already; make another WarpSand for another model or data"
             )
-        check_model(self._model, self._chain, m)
+        fit.check_model(self._model, self._chain, m)
         model, device = self._model, d.qvel.device
         self._cold = int(m.opt.disableflags) & int(mujoco.mjtDisableBit.mjDSBL_WARMSTART)
         n, count = d.nworld, len(self._slots)
@@ -168,8 +150,8 @@ class WarpSand:
         else:
             self._surface = surface_on_device(self.surface, record, model, device)
         surface_struct = struct_of_surface(self.surface, record)
-        self._up = wp.vec3(*up_of(self.surface, model))
-        self._resist = resist_kernel(
+        self._up = wp.vec3(*fit.up_of(self.surface, model))
+        self._resist = damping.resist_kernel(
             self._kernel, law_struct, surface_struct, self._memory is not None
         )
         self._elements_there = to_device(self._elements, self._kernel.element, device)
@@ -178,7 +160,7 @@ class WarpSand:
         def zeros(count: int, kind: Any = float) -> wp.array:
             return wp.zeros((n, count), dtype=kind, device=device)
 
-        self._state = state = State()
+        self._state = state = damping.State()
         for name in ("predicted", "found", "gap", "creep"):
             setattr(state, name, zeros(model.nv))
         for name in ("share", "limit", "depth", "speed", "power"):
@@ -263,11 +245,11 @@ class WarpSand:
         def integers(values: Any) -> wp.array:
             return wp.array(np.asarray(values, np.int32), dtype=wp.int32, device=device)
 
-        model, tables = self._model, Tables()
+        model, tables = self._model, damping.Tables()
         tables.slots, tables.chain = to_device(self._slots, Slot, device), integers(self._chain)
         most = _MOST_DAMPING * model.body_subtreemass[self._slots["root"]]
         tables.most = wp.array(most, dtype=float, device=device)
-        moved, first_moved = slots_of_dofs(model.nv, self._slots, self._chain)
+        moved, first_moved = fit.slots_of_dofs(model.nv, self._slots, self._chain)
         tables.dof_slots, tables.dof_first = integers(moved), integers(first_moved)
         tables.rows = integers(np.repeat(np.arange(model.nv), model.M_rownnz))
         tables.columns = integers(model.M_colind)
@@ -289,13 +271,13 @@ class WarpSand:
         wp.copy(state.fluid, d.efm_fluid)
         self._constraints.find(m, d)
         starting = (timestep, self._cold, d.qvel, d.qacc_warmstart, d.time)
-        self._launch(warm_start, self._model.nv, state, *starting)
+        self._launch(damping.warm_start, self._model.nv, state, *starting)
         count = self._corrections
         self._resist_all(m, d, first=True, last=count == 0)
         for correction in range(count):
             self._constraints.solve(m, d)
             solved = (correction > 0, timestep, d.M, d.qvel, d.qacc)
-            self._launch(predict_again, len(tables.roots), tables, state, *solved)
+            self._launch(damping.predict_again, len(tables.roots), tables, state, *solved)
             self._resist_all(m, d, first=False, last=correction == count - 1)
         self._constraints.prepare(m, d)
 
@@ -306,11 +288,11 @@ class WarpSand:
         if int(stage) != int(mujoco.mjtStage.mjSTAGE_ACC):
             return
         tables, state, timestep = self._tables, self._state, m.opt.timestep
-        self._launch(predict, self._model.nv, timestep, d.qvel, d.qacc, state)
+        self._launch(damping.predict, self._model.nv, timestep, d.qvel, d.qacc, state)
         places = (d.xipos, d.subtree_com, d.cdof)
-        self._launch(wrenches_of_step, self._size[1], tables, state, *places)
-        limits = (timestep, m.opt.sleep_tolerance, m.dof_length)
-        self._launch(stop_creep, len(tables.roots), tables, state, *limits, d.M, d.qvel, d.qacc)
+        self._launch(damping.wrenches_of_step, self._size[1], tables, state, *places)
+        creeping = (timestep, m.opt.sleep_tolerance, m.dof_length, d.M, d.qvel, d.qacc)
+        self._launch(damping.stop_creep, len(tables.roots), tables, state, *creeping)
         if self._memory is not None:
             self._memory.update(m, d, self.height, self._up)
 
@@ -326,9 +308,9 @@ class WarpSand:
             *(d.xpos, d.xmat, d.xipos, d.subtree_com, d.cvel, d.cdof, d.cdof_dot, d.qvel),
         )
         forces = (d.cdof, d.cvel, d.qfrc_passive)
-        self._launch(assemble_forces, self._model.nv, tables, state, *forces)
+        self._launch(damping.assemble_forces, self._model.nv, tables, state, *forces)
         metric = (timestep, d.cdof, d.efm_fluid)
-        self._launch(assemble_damping, len(tables.rows), tables, state, *metric)
+        self._launch(damping.assemble_damping, len(tables.rows), tables, state, *metric)
 
     def _launch(self, kernel: Any, count: int, *inputs: Any) -> None:
         """Run a kernel for each world, and in each for `count` bodies, robots or numbers."""

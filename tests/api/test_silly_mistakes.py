@@ -13,7 +13,7 @@ import pytest
 import mjgranular as mg
 from mjgranular.calibrate import Fit, run_fit
 from mjgranular.engine import relief_of, rne_post_constraint, tune
-from mjgranular.engine.readings import SandReadings
+from mjgranular.engine.sensor import SandReadings
 from mjgranular.errors import GranularError, MissedStepWarning
 from mjgranular.experiment import (
     Impact,

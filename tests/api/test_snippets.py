@@ -8,7 +8,7 @@ import mujoco
 import pytest
 
 from mjgranular.experiment import Impact, run_impact
-from mjgranular.learn.settings import read_settings
+from mjgranular.learn.settings import find_settings
 from mjgranular.medium.file import EXAMPLE
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -46,7 +46,7 @@ def test_the_medium_file():
 def test_the_settings_file(tmp_path):
     file = tmp_path / "settings.toml"
     file.write_text(snippet("docs/training.md", "toml"))
-    settings = read_settings(file)
+    settings = find_settings("", file=file)
     assert (settings.algorithm, settings.total_steps) == ("ppo", 600_000)
     assert settings.environment["randomise"] == {"strength": [0.5, 2.0]}
 

@@ -163,13 +163,13 @@ PPO = "algorithm = 'ppo'\n[ppo]\nnum_envs = 1\ntotal_steps = "
 )
 def test_hostile_settings_are_refused_at_once(tmp_path: Path, text: str, said: str) -> None:
     pytest.importorskip("stable_baselines3")
-    from mjgranular.learn.settings import read_settings
+    from mjgranular.learn.settings import find_settings
 
     path = tmp_path / "settings.toml"
     path.write_text(text, encoding="utf-8")
     began = time.process_time()
     with pytest.raises(InputError) as caught:
-        read_settings(path)
+        find_settings("", file=path)
     assert time.process_time() - began < 5
     assert said in str(caught.value)
     assert len(str(caught.value)) < 900

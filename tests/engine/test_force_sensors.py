@@ -16,7 +16,7 @@ from mujoco import rollout
 
 from mjgranular import Plane, Sand
 from mjgranular.engine import add_sand, rne_post_constraint, tune
-from mjgranular.engine.measures import SENSOR
+from mjgranular.engine.config import SENSOR
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore::mjgranular.errors.FloorWarning"),

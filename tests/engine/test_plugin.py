@@ -36,9 +36,8 @@ from mjgranular import (
     register_law,
 )
 from mjgranular.engine import NAME, pickles, tune
-from mjgranular.engine.config import KEYS
+from mjgranular.engine.config import KEYS, SENSOR, SENSOR_KEYS
 from mjgranular.engine.instances import sands_in
-from mjgranular.engine.measures import SENSOR, SENSOR_KEYS
 from mjgranular.models import Link
 from mjgranular.surface import surfaces
 

@@ -211,7 +211,7 @@ def test_sand_that_is_switched_off_does_nothing_and_is_not_felt() -> None:
 def test_the_first_model_of_a_process_begins_as_all_do() -> None:
     code = """
 import mujoco, mjgranular
-mjgranular._util.headless
+mjgranular._util.display
 text = \"\"\"<mujoco><extension><plugin plugin="mjgranular.sand">
   <instance name="sand"><config key="tunable" value="true"/></instance></plugin></extension>
   <worldbody><body><freejoint/><geom type="capsule" size=".1 .1"/></body></worldbody></mujoco>\"\"\"

@@ -39,7 +39,6 @@ from mjgranular.learn.settings import (
     Settings,
     change,
     find_settings,
-    read_settings,
     settings_file,
 )
 from mjgranular.learn.train import train
@@ -436,7 +435,7 @@ def test_baselines():
 def test_settings_that_come_with_the_package_are_valid(file):
     for algorithm in ("ppo", "sac", "td3"):
         if f"[{algorithm}]" in file.read_text():
-            settings = read_settings(file, algorithm=algorithm)
+            settings = find_settings("", file=file, algorithm=algorithm)
             assert Settings.from_json(json.loads(json.dumps(settings.as_json()))) == settings
 
 
@@ -490,7 +489,7 @@ def test_mistakes_in_settings_are_told(text, message, tmp_path):
     file = tmp_path / "my.toml"
     file.write_text(text)
     with pytest.raises((InputError, UnknownNameError)) as caught:
-        read_settings(file)
+        find_settings("", file=file)
     assert message in str(caught.value)
 
 

@@ -1,8 +1,28 @@
-"""Whether a window can be opened."""
+"""What MuJoCo can draw on: the choice of its renderer, on import, and whether a window opens."""
 
+import ctypes
 import importlib
+import os
+import sys
 import warnings
 from typing import Any
+
+
+def choose_renderer() -> None:
+    """Set `MUJOCO_GL=egl` where EGL is needed and the variable is not set.
+
+    This applies on Linux without a display, with an EGL library, before mujoco is imported: MuJoCo
+    reads the variable once. Its default (GLFW) needs a display and fails.
+    """
+    if "MUJOCO_GL" in os.environ or "mujoco" in sys.modules or not sys.platform.startswith("linux"):
+        return
+    if os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
+        return
+    try:
+        ctypes.CDLL("libEGL.so.1")
+    except OSError:
+        return  # `import mujoco` would fail with the variable set; without it only rendering fails
+    os.environ["MUJOCO_GL"] = "egl"
 
 
 def opens_window(*, monitor: bool = False) -> bool:
@@ -24,3 +44,6 @@ def opens_window(*, monitor: bool = False) -> bool:
         if window:
             glfw.destroy_window(window)  # others may be open: glfw is not terminated
         return bool(window)
+
+
+choose_renderer()
