@@ -39,7 +39,7 @@ def run(*command: object, cwd: Path) -> str:
         text=True,
         check=False,
         cwd=cwd,
-        timeout=300,
+        timeout=600,
     )
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
@@ -56,7 +56,7 @@ def models(tmp_path, monkeypatch):
 @pytest.mark.slow
 def test_the_scripts_for_stable_baselines3(tmp_path):
     pytest.importorskip("stable_baselines3", reason="the extra train is not installed")
-    env = "mjgranular/ChainCrawl-v0"
+    env = "mjgranular/Hopper-v0"  # it falls soon: ten episodes to evaluate are short
     run(ROOT / "scripts" / "train.py", env, "2048", "policy", cwd=tmp_path)
     assert (tmp_path / "policy" / "normalizer.pkl").exists()
     printed = run(ROOT / "scripts" / "evaluate.py", env, "policy", cwd=tmp_path)

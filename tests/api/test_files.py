@@ -380,16 +380,17 @@ def test_workers_end_with_a_sweep_that_is_ended_and_its_rows_are_kept(number, tm
     command = [sys.executable, "-m", "mjgranular", "sweep", "--vary", "speed=1:10:400"]
     command += ["--of", "impact --timestep 1e-6", "--workers", "2", "--out", str(tmp_path)]
     with subprocess.Popen(command, stderr=subprocess.PIPE, start_new_session=True) as process:
-        deadline = time.monotonic() + 100
-        file = tmp_path / UNFINISHED
-        while not (file.exists() and file.stat().st_size) and time.monotonic() < deadline:
+        deadline = time.monotonic() + 600
+        file = tmp_path / UNFINISHED  # its first line says what is asked for
+        while not (file.exists() and file.read_text().count("\n") >= 2):
+            assert time.monotonic() < deadline
             time.sleep(0.1)
         assert len(workers_of(process.pid)) >= 2
         process.send_signal(number)
-        said = process.communicate(timeout=30)[1].decode()
+        said = process.communicate(timeout=600)[1].decode()
     assert process.returncode == (143 if number == signal.SIGTERM else -9)
     assert "Traceback" not in said.partition("multiprocessing")[0]
-    deadline = time.monotonic() + 5
+    deadline = time.monotonic() + 600
     while workers_of(process.pid) and time.monotonic() < deadline:
         time.sleep(0.1)
     assert not workers_of(process.pid)

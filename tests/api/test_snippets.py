@@ -1,13 +1,11 @@
 """Snippets of the pages that are not Python: they are read by what they are for."""
 
-import math
 import re
 from pathlib import Path
 
 import mujoco
 import pytest
 
-from mjgranular.experiment import Impact, run_impact
 from mjgranular.learn.settings import find_settings
 from mjgranular.medium.file import EXAMPLE
 
@@ -49,20 +47,6 @@ def test_the_settings_file(tmp_path):
     settings = find_settings("", file=file)
     assert (settings.algorithm, settings.total_steps) == ("ppo", 600_000)
     assert settings.environment["randomise"] == {"strength": [0.5, 2.0]}
-
-
-@pytest.mark.slow
-def test_the_table_of_the_link_law(paper):
-    row = r"^\| ([\d.]+) \| (\d+)° \| ([\d.]+) \| ([\d.]+) \| [\d.]+ \| ([\d.]+) \| ([\d.]+) \|"
-    rows = re.findall(row, (ROOT / "docs" / "laws" / "link.md").read_text(), re.MULTILINE)
-    assert len(rows) == 6
-    for (speed, angle, *shown), case in zip(rows, paper["cases"], strict=True):
-        assert (float(speed), float(angle)) == (case["speed"], case["angle"])
-        stop = run_impact(
-            Impact(speed=float(speed), angle=math.radians(float(angle)), timestep=1e-6)
-        ).stop
-        found = [case["time"], stop.time, case["depth"], stop.depth]
-        assert [f"{value:.6f}" for value in found] == shown
 
 
 @pytest.mark.parametrize("page", ["README.md", "docs/questions.md"])

@@ -43,7 +43,7 @@ def survive(tmp_path: Path) -> Callable[[str, Sequence[Any]], list[Any]]:
             cwd=tmp_path,
             capture_output=True,
             text=True,
-            timeout=300,
+            timeout=1800,
         )
         rows = [json.loads(line) for line in done.stdout.splitlines()]
         at = rows[-1].get("case") if rows else None

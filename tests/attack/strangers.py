@@ -30,7 +30,7 @@ from mjgranular.medium import get_medium
 SECONDS, MEGABYTES, LONGEST = 5.0, 500.0, 2000
 """Limits: processor time of a case, growth of the process, characters of a message."""
 
-HANGS = 60.0  # [s], after which the process ends
+HANGS = 600.0  # [s], after which the process ends
 CANARY = "executed"
 """A file in the current folder that exists if something was executed."""
 

@@ -55,10 +55,14 @@ LINES = (
 )
 
 
+DOORS = ("step", "plugin", "report")
+SCHEMES = ("implicit", "explicit")
+LAWS = ("rft3d", "link_distributed")
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("door", ["step", "plugin", "report"])
-@pytest.mark.parametrize("scheme", ["implicit", "explicit"])
-def test_a_body_that_is_nowhere(survive, door, scheme):
-    lines = [line for line in LINES if door != "report" or "qpos" in line]
-    cases = [(door, scheme, *case) for case in product(("rft3d", "link_distributed"), lines)]
-    assert "silent" not in survive(SCRIPT, cases) or door == "report"
+def test_a_body_that_is_nowhere(survive):
+    cases = [*product(DOORS, SCHEMES, LAWS, LINES)]
+    told = dict(zip(cases, survive(SCRIPT, cases), strict=True))
+    # A report of a pose that is no number need not warn.
+    assert not [case for case, text in told.items() if text == "silent" and case[0] != "report"]

@@ -308,7 +308,7 @@ for way in ("spec", "model", "data", "sand"):
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs a timer that sends signals")
 def test_an_interrupt_at_any_moment_is_raised_and_leaves_nothing_half_made() -> None:
     code = INTERRUPTED.replace("BALL", repr(BALL)).replace("MOMENTS", "12").replace("SPAN", "0.08")
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=100)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=600)
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
     for line in done.stdout.splitlines():
@@ -320,17 +320,29 @@ def test_an_interrupt_at_any_moment_is_raised_and_leaves_nothing_half_made() -> 
 COLD = """
 import signal, time
 import mujoco, mjgranular
-signal.signal(signal.SIGINT, signal.default_int_handler)
+trying = early = False
+
+def interrupt(*_):
+    global early
+    if trying:
+        raise KeyboardInterrupt
+    early = True  # on a busy machine: raised by the next attempt
+
+signal.signal(signal.SIGINT, interrupt)
 spec = mujoco.MjSpec.from_string(BALL)
 mjgranular.add_sand(spec, law=mjgranular.DepthVelocityLaw(stiffness=100, linear=5))
 print("compiling", flush=True)
 interrupts = 0
 while True:
     try:
+        trying = True
+        if early:
+            raise KeyboardInterrupt
         model = spec.compile()
         data = mujoco.MjData(model)
         break
     except KeyboardInterrupt:
+        trying = early = False
         interrupts += 1
         print("interrupted", flush=True)
 mujoco.mj_step(model, data)
@@ -339,7 +351,7 @@ print(interrupts)
 """
 
 
-WAITS = (0.01, 0.03, 0.1, 0.3, 0.5, 0.7, 0.9, 0.05, 1.2, 0.2)
+WAITS = (0.01, 0.1, 0.3, 0.7, 0.05)
 
 
 @pytest.mark.slow
@@ -355,7 +367,7 @@ def test_a_compiler_that_is_interrupted_compiles_later(tmp_path: Path) -> None:
             time.sleep(wait)
             process.send_signal(2)
             assert process.stdout.readline() == "interrupted\n"
-        out, err = process.communicate(timeout=200)
+        out, err = process.communicate(timeout=600)
     assert process.returncode == 0, err
     assert out == f"{len(WAITS)}\n"
 
@@ -416,7 +428,7 @@ for k in range(8):
     if child == 0:
         load(0.01)
         os._exit(7)
-    end = time.monotonic() + 20
+    end = time.monotonic() + 300
     while True:
         found, status = os.waitpid(child, os.WNOHANG)
         if found:
@@ -443,6 +455,6 @@ print("all")
 def test_a_fork_while_another_thread_works(work: str) -> None:
     code = f"import warnings; warnings.simplefilter('ignore')\n{FORKED.replace('WORK', work)}"
     command = [sys.executable, "-c", code.replace("BALL", repr(BALL))]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=100)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=600)
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stdout == "all\n"

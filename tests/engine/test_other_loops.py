@@ -125,7 +125,7 @@ def test_studio_steps_it() -> None:
         [sys.executable, "-c", STUDIO.format(text=text)],
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=600,
     )
     assert done.returncode == 0, done.stderr
     _, time, speed, acts = done.stdout[done.stdout.index("at ") :].split()[:4]

@@ -671,7 +671,7 @@ def test_many_threads_make_and_step_models(landed: np.ndarray) -> None:
     for thread in threads:
         thread.start()
     for thread in threads:
-        thread.join(timeout=120)
+        thread.join(timeout=600)
     assert not failures
     assert len(ends) == 12
     for law, end in ends:

@@ -109,29 +109,6 @@ def test_nor_within_the_engine(law, scheme, how, tmp_path, monkeypatch):
             assert np.isfinite(data.qacc).all()
 
 
-# Large enough for an index that is off to fall out of the memory of the process.
-LARGE = """
-import warnings
-from test_memory_bounds import *
-warnings.simplefilter("ignore")
-for law in ("link_distributed", "rft3d"):
-    model = model_of(2000)
-    sand = Sand(model, **given(law, "explicit"))
-    for act in (sand.step, sand.report):
-        for how in ("mocap x", "mocap y"):
-            data = mujoco.MjData(model)
-            move(model, data, how, math.nan)
-            try:
-                act(data)
-            except UnstableError:
-                print("unstable")
-    model = model_of(2000, **given(law, "explicit"))
-    data = mujoco.MjData(model)
-    move(model, data, "mocap x", math.nan)
-    mujoco.mj_step(model, data)
-"""
-
-
 def run(folder, code, *arguments, **environment):
     file = folder / "code.py"
     file.write_text(code, encoding="utf-8")
@@ -142,14 +119,8 @@ def run(folder, code, *arguments, **environment):
         env={**os.environ, "PYTHONPATH": os.pathsep.join(places), **environment},
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=600,
     )
-
-
-@pytest.mark.slow
-def test_a_large_height_field_is_not_left(tmp_path):
-    done = run(tmp_path, LARGE)
-    assert (done.returncode, done.stdout.split()) == (0, 8 * ["unstable"]), done.stderr
 
 
 class TestAnotherModel:

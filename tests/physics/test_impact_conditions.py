@@ -1,4 +1,4 @@
-"""Stopping time and depth over many conditions, against the stiff solution at 1e-6 s."""
+"""Stopping time and depth over many conditions, against the stiff solution."""
 
 import math
 import warnings
@@ -10,6 +10,7 @@ from mjgranular import GranularWarning, LinkLaw, Medium, Quantity
 from mjgranular.experiment import Impact, run_impact
 
 BAR = 1e-3
+TIMESTEP = 5e-6  # [s], at which deviations without grazing are below 3e-5
 SLOW = [(angle, speed) for angle in (10, 25) for speed in (0.5, 2.0)]
 
 
@@ -32,7 +33,7 @@ def drawn(seed, count):
 
 def deviations(reference, condition):
     """Of stopping time and depth, relative; and the reference."""
-    stop = run_impact(Impact(timestep=1e-6, duration=0.5, **condition)).stop
+    stop = run_impact(Impact(timestep=TIMESTEP, duration=0.5, **condition)).stop
     solved = reference.solve(reference.Drop(**condition))
     return abs(stop.time / solved.time - 1), abs(stop.depth / solved.depth - 1), solved
 
@@ -79,7 +80,7 @@ def test_other_sands(reference, register, eta_h):
             constants={LinkLaw.name: quantities},
         )
     )
-    stop = run_impact(Impact(speed=3.0, angle=0.7, medium=medium.name, timestep=1e-6)).stop
+    stop = run_impact(Impact(speed=3.0, angle=0.7, medium=medium.name, timestep=TIMESTEP)).stop
     solved = reference.solve(reference.Drop(speed=3.0, angle=0.7, sand_density=1600.0, **constants))
     assert stop.time == pytest.approx(solved.time, rel=BAR)
     assert stop.depth == pytest.approx(solved.depth, rel=BAR)
@@ -97,9 +98,9 @@ def test_leaning_the_other_way_is_the_mirror_image():
 @pytest.mark.parametrize("height", [0.02, 0.5])
 def test_falling_from_a_height(height):
     # v^2 = 2 g h, t = sqrt(2 h / g), and from there on the drop that starts at the surface.
-    fallen = run_impact(Impact(speed=0.0, height=height, timestep=5e-6))
+    fallen = run_impact(Impact(speed=0.0, height=height, timestep=2e-5))
     speed = math.sqrt(2 * 9.81 * height)
-    released = run_impact(Impact(speed=speed, timestep=5e-6))
+    released = run_impact(Impact(speed=speed, timestep=2e-5))
     assert fallen.touchdown == pytest.approx(speed / 9.81, rel=1e-4)
     assert fallen.stop.time == pytest.approx(released.stop.time, rel=1e-3)
     assert fallen.stop.depth == pytest.approx(released.stop.depth, rel=1e-3)
@@ -111,7 +112,7 @@ def test_bound_on_the_time_step_is_safe(reference):
     # 0.05 %, at worst 5 %, and no run is lost before 16 times the bound.
     with warnings.catch_warnings():
         warnings.simplefilter("error", GranularWarning)
-        for condition in drawn(seed=7, count=20):
+        for condition in drawn(seed=2024, count=20):  # half of them are solved above
             step = Impact(**condition).largest_step()
             stop = run_impact(Impact(timestep=step, **condition)).stop
             solved = reference.solve(reference.Drop(**condition))

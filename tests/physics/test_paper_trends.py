@@ -8,7 +8,7 @@ import pytest
 
 from mjgranular.experiment import Impact, Study, run_study
 
-POINTS = 21
+POINTS = 11
 
 
 def sweep(over, first, last, **impact):

@@ -32,7 +32,7 @@ def run(folder: Path, *arguments: object) -> str:
         capture_output=True,
         text=True,
         cwd=folder,
-        timeout=300,
+        timeout=600,
     )
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
@@ -133,7 +133,7 @@ def test_a_robot_of_meshes_is_measured(tmp_path: Path) -> None:
         [sys.executable, str(FOLDER / "meshes.py"), str(model), "--states", "5"],
         capture_output=True,
         text=True,
-        timeout=300,
+        timeout=600,
     )
     assert done.returncode == 0, done.stderr
     rows = [line.split("|")[1].strip() for line in done.stdout.splitlines()]

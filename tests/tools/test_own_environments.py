@@ -108,7 +108,7 @@ def test_the_command_finds_what_lies_beside_the_user(beside: Path) -> None:
             [sys.executable, "-P", "-c", script, *arguments],
             capture_output=True,
             text=True,
-            timeout=300,
+            timeout=600,
             check=False,
         )
 

@@ -6,7 +6,6 @@ import operator
 import os
 import signal
 import socket
-import time
 from typing import Any
 
 import pytest
@@ -205,14 +204,12 @@ def test_an_address_that_is_none(address, capfd):
     assert "HOST:PORT of its head" in capfd.readouterr().err
 
 
-def test_an_address_where_nobody_listens_is_told_at_once(capfd):
+def test_an_address_where_nobody_listens_is_told(capfd):
     pytest.importorskip("ray")
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         address = f"127.0.0.1:{free.getsockname()[1]}"
-        before = time.monotonic()
         assert main(["sweep", "--vary", "speed=1,2", "--engine", "ray", "--address", address]) == 2
-        assert time.monotonic() - before < 20
     assert f"nothing answers at {address}" in capfd.readouterr().err
 
 

@@ -4,7 +4,6 @@ import operator
 import os
 import signal
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -114,10 +113,8 @@ def test_a_task_that_ends_its_worker_is_named_and_the_rest_is_there():
 
 def test_other_versions_are_refused_before_anything_is_done(monkeypatch):
     monkeypatch.setattr(on_ray, "versions", lambda: {**versions(), "mujoco": "3.0"})
-    before = time.monotonic()
     with pytest.raises(InputError, match=r"mujoco .* there and 3.0 here"):
         map_tasks(operator.add, [1, 2], shared=1, on=Workers("ray"))
-    assert time.monotonic() - before < 60
 
 
 def test_a_node_that_goes_costs_nothing(expected, other_node, tmp_path):

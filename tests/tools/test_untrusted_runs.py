@@ -5,8 +5,10 @@ import contextlib
 import json
 import os
 import pickle
+import shutil
 import sys
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 
 import gymnasium as gym
@@ -30,12 +32,21 @@ QUICK = {
 }
 
 
-def trained(folder: Path, algorithm: str) -> Run:
-    """A run of some hundred steps."""
-    few = ("num_envs=2", "checkpoint_every=256", "total_steps=512", *QUICK[algorithm])
-    run = begin_run(folder, ID, change(find_settings(ID, algorithm=algorithm), few), seed=0)
-    train(run)
-    return run
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory) -> Callable[[Path, str], Run]:
+    """Puts a run of some hundred steps into a folder; one of each algorithm is trained."""
+    runs: dict[str, Path] = {}
+
+    def trained(folder: Path, algorithm: str) -> Run:
+        if algorithm not in runs:
+            runs[algorithm] = tmp_path_factory.mktemp(algorithm) / "run"
+            few = ("num_envs=2", "checkpoint_every=256", "total_steps=512", *QUICK[algorithm])
+            settings = change(find_settings(ID, algorithm=algorithm), few)
+            train(begin_run(runs[algorithm], ID, settings, seed=0))
+        shutil.copytree(runs[algorithm], folder)
+        return open_run(folder)
+
+    return trained
 
 
 class Bomb:
@@ -70,7 +81,7 @@ def plant(file: Path, bomb: bytes) -> None:
 
 
 @pytest.mark.parametrize("algorithm", ["ppo", pytest.param("sac", marks=pytest.mark.slow)])
-def test_nothing_in_a_run_is_unpickled(algorithm, tmp_path):
+def test_nothing_in_a_run_is_unpickled(trained, algorithm, tmp_path):
     run = trained(tmp_path / "run", algorithm)
     marker = tmp_path / "executed"
     bomb = pickle.dumps(Bomb(marker))
@@ -88,7 +99,7 @@ def test_nothing_in_a_run_is_unpickled(algorithm, tmp_path):
     assert marker.exists()
 
 
-def test_weights_that_hold_a_pickle_are_refused(tmp_path):
+def test_weights_that_hold_a_pickle_are_refused(trained, tmp_path):
     run = trained(tmp_path / "run", "ppo")
     marker = tmp_path / "executed"
     for file in (run.path / "policy.zip", run.checkpoints()[0] / "policy.zip"):
@@ -102,7 +113,7 @@ def test_weights_that_hold_a_pickle_are_refused(tmp_path):
     assert not marker.exists()
 
 
-def test_a_module_that_only_a_file_names_is_not_imported(tmp_path, monkeypatch, capfd):
+def test_a_module_that_only_a_file_names_is_not_imported(trained, tmp_path, monkeypatch, capfd):
     code = "import gymnasium\n"
     code += "gymnasium.register('Strange-v0', 'gymnasium.envs.classic_control:PendulumEnv', "
     code += "max_episode_steps=5)\n"
@@ -142,7 +153,7 @@ def test_a_module_that_only_a_file_names_is_not_imported(tmp_path, monkeypatch, 
 
 
 @pytest.mark.parametrize("name", ["mine", *shipped_policies()])
-def test_policies_act_as_stable_baselines_has_them(name, tmp_path):
+def test_policies_act_as_stable_baselines_has_them(trained, name, tmp_path):
     policy = load_policy(trained(tmp_path / "run", "ppo").path if name == "mine" else name)
     whole = PPO.load(policy.folder / "policy.zip", device="cpu")
     for what in ("observation_space", "action_space"):
@@ -155,7 +166,7 @@ def test_policies_act_as_stable_baselines_has_them(name, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_policy_that_squashes_its_actions_acts_as_stable_baselines_has_it(tmp_path):
+def test_a_policy_that_squashes_its_actions_acts_as_stable_baselines_has_it(trained, tmp_path):
     policy = load_policy(trained(tmp_path / "run", "sac").path)
     whole = SAC.load(policy.folder / "policy.zip", device="cpu")
     seen = np.random.default_rng(0).normal(size=(9, 3))

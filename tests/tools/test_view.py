@@ -318,7 +318,7 @@ def test_a_window_opens_on_a_display(what: str, block: Path, display: str) -> No
         arguments += ["--instead-of", "floor"]
     code = f"from mjgranular.cli import main; raise SystemExit(main({arguments!r}))"
     done = subprocess.run(
-        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=120
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=600
     )
     assert done.returncode == 0, done.stderr
     assert "Space: pause" in done.stderr
@@ -348,6 +348,6 @@ for thread in threading.enumerate():  # the viewer's still clears up, and must b
         thread.join(timeout=5.0)
 """
     done = subprocess.run(
-        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=120
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=600
     )
     assert done.returncode == 0, done.stderr

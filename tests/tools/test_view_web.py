@@ -94,7 +94,7 @@ class Browser(threading.Thread):
         return any(m["type"] == kind and value in str(m.get("updates")) for m in self.messages)
 
     def received(self, kind: str, name: str) -> list[dict[str, Any]]:
-        self.join(timeout=60)
+        self.join(timeout=600)
         return [m for m in self.messages if m["type"] == kind and name in m.get("name", "")]
 
     def sand(self) -> list[Any]:
@@ -124,7 +124,7 @@ def shown(model: mujoco.MjModel, port: int, steps: int = 0, **state: Any) -> Bro
 
 
 def wait_for(condition: Callable[[], bool], action: Callable[[], None]) -> None:
-    latest = time.monotonic() + 120
+    latest = time.monotonic() + 600
     while not condition():
         assert time.monotonic() < latest
         action()
@@ -301,5 +301,5 @@ def test_an_interrupt_ends_it(ball: Path, port: int) -> None:
         lines = iter(command.stderr.readline, "")
         assert any(f"localhost:{port}" in line for line in lines)
         command.send_signal(signal.SIGINT)
-        assert command.wait(timeout=120) == 130
+        assert command.wait(timeout=600) == 130
         assert command.stderr.read().endswith("error: interrupted\n")
