@@ -146,7 +146,8 @@ def begin_run(path: Path | str, environment: str, settings: Settings, *, seed: i
     """Make the folder of a new run. If two processes try at once, one of them fails.
 
     The environment, by Gymnasium's id, is made once, to record its sand. All random numbers follow
-    from the seed.
+    from the seed. Files that the environment is made with, such as a medium's, are noted with their
+    absolute paths.
 
     Raises:
         OutputError: the folder is not empty, or cannot be written to.
@@ -157,6 +158,7 @@ def begin_run(path: Path | str, environment: str, settings: Settings, *, seed: i
     if not is_text(environment):
         raise InputError(f"environment must be a printable name, got {shown(environment)}")
     sand = sands_made(environment, settings.environment)
+    settings = replace(settings, environment=_with_absolute_paths(settings.environment))
     run = Run(path, environment, settings, seed, versions(*PACKAGES), sand, trusted=True)
     with files.locked(path):
         files.remove_leftovers(path, (CONFIG,))
@@ -169,6 +171,19 @@ def begin_run(path: Path | str, environment: str, settings: Settings, *, seed: i
         config = {**run.config(), "started": datetime.now(UTC).isoformat(timespec="seconds")}
         files.write_text(path / CONFIG, json.dumps(config, indent=2) + "\n")
     return run
+
+
+def _with_absolute_paths(value: Any) -> Any:
+    """Return arguments with absolute paths of existing files; options may follow a path."""
+    if isinstance(value, dict):
+        return {name: _with_absolute_paths(one) for name, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_with_absolute_paths(one) for one in value]
+    if isinstance(value, str):
+        path, gap, options = value.partition(" ")
+        if Path(path).suffix and Path(path).is_file():
+            return f"{Path(path).absolute()}{gap}{options}"
+    return value
 
 
 def open_run(path: Path, *, trust: bool = False) -> Run:

@@ -42,6 +42,7 @@ from mjgranular.learn.settings import (
     settings_file,
 )
 from mjgranular.learn.train import train
+from mjgranular.medium.file import EXAMPLE
 
 ID = "Pendulum-v1"
 QUICK = {
@@ -179,6 +180,16 @@ def test_observations_that_are_new_begin_with_no_weight(trained, tmp_path, monke
     wider = quick("ppo", f"start_from={run.path}", "environment.more=3")
     with pytest.raises(InputError, match="observes the sand after all else"):
         train(begin_run(tmp_path / "wider", "Padded-v0", wider, seed=4))
+
+
+def test_files_of_an_environment_are_noted_with_absolute_paths(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("beach.yaml").write_text(EXAMPLE)
+    name, few = "mjgranular/LinkDrop-v0", ["environment.medium=beach.yaml"]
+    settings = change(find_settings(name), few)
+    begin_run("run", name, settings, seed=0)
+    monkeypatch.chdir("run")
+    assert open_run(Path()).arguments["medium"] == str(tmp_path / "beach.yaml")
 
 
 def test_options_of_an_environment_may_be_infinite(tmp_path):
