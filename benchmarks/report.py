@@ -89,15 +89,17 @@ def markdown(machine: dict[str, Any], found: list[tuple[Group, dict[str, Figure]
     return "\n".join(lines)
 
 
-def write_page(path: Path, text: str) -> None:
-    """Put figures into a page, between `BEGIN` and `END`; the rest is unchanged.
-
-    Raises:
-        ValueError: the page has no such place.
-    """
-    page = path.read_text(encoding="utf-8")
-    head, begin, rest = page.partition(BEGIN)
+def around_figures(path: Path) -> tuple[str, str]:
+    """Return what stands before and after the figures of a page; there need not be a page yet."""
+    if not path.exists():
+        return "", "\n"
+    head, begin, rest = path.read_text(encoding="utf-8").partition(BEGIN)
     _, end, tail = rest.partition(END)
     if not (begin and end):
-        raise ValueError(f"{path} has no place for figures: the lines {BEGIN!r} and {END!r}")
-    path.write_text(f"{head}{BEGIN}\n\n{text}\n{END}{tail}", encoding="utf-8")
+        raise SystemExit(f"{path} has no place for figures: the lines {BEGIN!r} and {END!r}")
+    return head, tail
+
+
+def page_of(text: str, head: str, tail: str) -> str:
+    """Return a page with figures between `BEGIN` and `END`."""
+    return f"{head}{BEGIN}\n\n{text}\n{END}{tail}"

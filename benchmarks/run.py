@@ -80,6 +80,7 @@ def main(options: Options) -> None:
     effort = measure.QUICK if options.quick else measure.FULL
     machine = facts(effort)
     before = report.read(options.compare) if options.compare else {}
+    around = report.around_figures(options.report) if options.report else None
     groups = [group for name in options.only or FAMILIES for group in FAMILIES[name]]
     console.print(
         f"{machine['processor']}, {machine['cores']} cores, MuJoCo {machine['mujoco']}, "
@@ -99,8 +100,9 @@ def main(options: Options) -> None:
             report.show(console, group, figures, before.get(group.title))
     if options.save:
         report.save(options.save, machine, {group.title: figures for group, figures in found})
-    if options.report:
-        report.write_page(options.report, report.markdown(machine, found))
+    if options.report and around:
+        page = report.page_of(report.markdown(machine, found), *around)
+        options.report.write_text(page, encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -114,9 +114,13 @@ def test_turns_and_quartiles(modules: Any, monkeypatch: pytest.MonkeyPatch) -> N
 def test_a_page_without_a_place_is_told(modules: Any, tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     page.write_text("# Nothing\n")
-    with pytest.raises(ValueError, match="no place for figures"):
-        modules("report").write_page(page, "text")
-    assert page.read_text() == "# Nothing\n"
+    report = modules("report")
+    with pytest.raises(SystemExit, match="no place for figures"):
+        report.around_figures(page)
+    page.write_text(f"# Figures\n{report.BEGIN}\n\nold\n{report.END}\nEnd.\n")
+    assert "old" not in report.page_of("new", *report.around_figures(page))
+    page.write_text(report.page_of("new", *report.around_figures(tmp_path / "none.md")))
+    assert report.around_figures(page) == ("", "\n")
 
 
 @pytest.mark.slow
