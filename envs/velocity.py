@@ -444,9 +444,12 @@ class Go1Velocity(Task):
             command: velocity ahead, to the left [m/s], and yaw rate [rad/s], shape (3,) or (n, 3).
 
         Raises:
-            InputError: another shape, or a number that is not finite.
+            InputError: another shape, or what is not a finite number.
         """
-        new = np.asarray(command, float)
+        try:
+            new = np.asarray(command, float)
+        except (TypeError, ValueError):
+            new = np.array(math.nan)
         if new.shape not in ((3,), (len(state.userdata), 3)) or not np.isfinite(new).all():
             raise InputError(f"a command must be three finite numbers, not {shown(command)}")
         table = np.zeros((len(state.userdata), _COMMANDS, 4))  # the first steps are 0

@@ -296,7 +296,7 @@ def test_a_command_of_ones_own():
                 info = env.step(action)[-1]
                 known = np.reshape(info["command"], (n, 3))
                 assert np.array_equal(known, np.broadcast_to(command, (n, 3)))
-        for wrong in ((0.5, 0.0), (0.5, math.nan, 0.0), np.zeros((n + 1, 3))):
+        for wrong in ((0.5, 0.0), (0.5, math.nan, 0.0), np.zeros((n + 1, 3)), "ahead", [1, [2]]):
             with pytest.raises(InputError, match="three finite numbers"):
                 task.set_command(env.state, wrong)
         drawn = env.reset(seed=0)[1]["command"]
