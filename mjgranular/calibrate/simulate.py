@@ -209,6 +209,8 @@ def simulator_of(run: Run, way: str, *, timestep: float = TIMESTEP) -> Simulator
             joint.armature = _HEAVY
     elif way == "push":
         spec.body("link").mass = _HEAVY_BODY
+        for joint in hinges:  # else the body would turn during each step
+            joint.armature = _HEAVY_BODY
     elif way == "sink":
         spec.option.timestep = _ROLL_STEP
         for name in ("x", "y", "turn"):
