@@ -271,12 +271,12 @@ def choices_of(ranges: SandRanges | None, base: SandSpec, dunes: Any) -> list[Ch
             for name in (ranges and ranges.surfaces) or ("plane",):
                 surface = dunes if name == "dunes" else base.surface
                 sand = combined(base, {"medium": medium, "law": law, "surface": surface})
+                in_medium, own = medium, law
                 if medium is None and law is not None:
-                    medium = medium_for(law)
-                own = law
+                    in_medium = medium_for(law)
                 if law is None and medium is not None:
                     own = get_medium(medium).default_law
-                choices.append(Choice(_name(medium), _name(own), name, sand))
+                choices.append(Choice(_name(in_medium), _name(own), name, sand))
     return choices
 
 

@@ -124,6 +124,8 @@ def _run(entry: dict[str, Any], where: str, path: Path) -> Run:
     values = _common(entry, where, path)
     height = values.pop("height", None)
     if height is not None:
+        if entry["kind"] != "drop":
+            raise InputError(f"{where}: height is for a drop, not for kind {entry['kind']}")
         if "speed" in values:
             raise InputError(f"{where}: a drop has a speed at the touch or a height, not both")
         if height < 0:
@@ -145,14 +147,10 @@ def _scored_run(entry: dict[str, Any], where: str, path: Path, *, about: dict[st
     values: dict[str, Any] = {"speed": 0.0} | _common(entry, where, path)
     table = read_table(path.parent / entry["data"], *COLUMNS[kind], _columns(entry, where))
     motion = motion_of(table, values.get("depth"), to_the_stop=name in about["to_the_stop"])
-    above = -motion.depth[0]
-    if kind == "drop" and above > motion.depth.max() / 2:  # chosen
-        raise InputError(
-            f"{where}: it begins {above:.3g} m above the sand, and the speed is that of its "
-            "first row: omit rows before the touch"
-        )
     guided, mark = name in about["guided"], about["marks"].get(name, "seen")
-    return Run(name, kind, motion=motion, guided=guided, mark=mark, **values)
+    run = Run(name, kind, motion=motion, guided=guided, mark=mark, **values)
+    run.check_start()
+    return run
 
 
 def _common(entry: dict[str, Any], where: str, path: Path) -> dict[str, Any]:

@@ -120,8 +120,8 @@ class Run:
         data: a CSV file, or the columns by their names, in SI units and degrees. It is read into
             `motion`.
         body: the body that meets the sand: a shape, or an MJCF file; for "model" it is `model`.
-        speed: downward, when the lowest point touches the sand, or of a push, by default
-            0.01 m/s [m/s]; of a turn [rad/s].
+        speed: downward, when the lowest point touches the sand (in `simulate` at the first row),
+            or of a push, by default 0.01 m/s [m/s]; of a turn [rad/s].
         angle: initial angle of the body's axis from the vertical [rad].
         depth: depth of a drag [m].
         columns: headings in the file of columns with other names, by column name.
@@ -161,6 +161,7 @@ class Run:
             if value not in get_args(options):
                 raise UnknownNameError(name, value, get_args(options))
         self._check_body()
+        self._check_unused()
         for name in ("speed", "depth"):
             value = getattr(self, name)
             if value is not None and not is_finite(value):
@@ -193,6 +194,10 @@ class Run:
             raise self._error(
                 f"a {self.kind} needs a body, such as {{shape: sphere, diameter: 0.0254}}"
             )
+        elif not isinstance(self.body, Path | Projectile):
+            raise self._error(
+                f"a body must be a Body or the Path of an MJCF file, got {shown(self.body)}"
+            )
         elif isinstance(self.body, Path):
             needed = _JOINTS.get(self.kind)
             if needed is None:
@@ -209,6 +214,13 @@ class Run:
         elif self.kind == "drop" and not getattr(self.body, "is_heavy", True):
             raise self._error("a body that is dropped needs its mass [kg]")
 
+    def _check_unused(self) -> None:
+        """Check that no argument is given that this kind of run does not use."""
+        users = {"depth": "drag", "model": "model", "model_body": "model", "keyframe": "model"}
+        for name, kind in users.items():
+            if getattr(self, name) is not None and self.kind != kind:
+                raise self._error(f"{name} is for runs of the kind {kind}, not for a {self.kind}")
+
     def _read(self, data: Path | Mapping[str, Any], columns: Mapping[str, str] | None) -> Motion:
         """Read the columns that a fit takes, in SI units and degrees."""
         needed, optional = COLUMNS[self.kind]
@@ -221,6 +233,8 @@ class Run:
                 raise self._error(f"it has no column {column!r}; needed: {', '.join(needed)}")
         found = {k: np.asarray(v, float) for k, v in data.items() if k in needed + optional}
         shape = found[needed[0]].shape
+        if shape == (0,):
+            raise self._error("its columns have no rows")
         if len(shape) != 1 or any(values.shape != shape for values in found.values()):
             raise self._error("all columns must have the same length")
         if not all(np.isfinite(values).all() for values in found.values()):
@@ -243,6 +257,15 @@ class Run:
             row = int(back[0])
             raise self._error(
                 f"times must grow, got {time[row + 1]:g} after {time[row]:g} s in row {row + 2}"
+            )
+
+    def check_start(self) -> None:
+        """Check that a drop begins at the sand, where its speed is known."""
+        above = -self.motion.depth[0]
+        if self.kind == "drop" and above > self.motion.depth.max() / 2:  # chosen
+            raise self._error(
+                f"it begins {above:.3g} m above the sand, and the speed is that of its first row: "
+                "omit rows before the touch"
             )
 
     @property

@@ -174,11 +174,13 @@ def simulate(
         timestep: time step of a drop [s].
 
     Raises:
-        InputError: the law has no elements for such a body, or the run is of a model.
+        InputError: the law has no elements for such a body, the run is of a model, or a drop that
+            begins above the sand.
         UnknownNameError: no such law or medium.
     """
     if run.kind == "model":
         raise InputError(f"run {shown(run.name)}: a run of a model can only be fitted")
+    run.check_start()
     return simulate_with(run, Material.of(get_medium(medium), law), {}, timestep=timestep)
 
 
@@ -207,6 +209,8 @@ def simulator_of(run: Run, way: str, *, timestep: float = TIMESTEP) -> Simulator
             joint.armature = _HEAVY
     elif way == "push":
         spec.body("link").mass = _HEAVY_BODY
+        for joint in hinges:  # else the body would turn during each step
+            joint.armature = _HEAVY_BODY
     elif way == "sink":
         spec.option.timestep = _ROLL_STEP
         for name in ("x", "y", "turn"):
@@ -273,22 +277,24 @@ def lowest_depth(body: Projectile, qpos: np.ndarray) -> float:
     return -(float(qpos[1]) + below)
 
 
-def _push(run: Run, simulator: Simulator) -> Motion:
+def push(run: Run, simulator: Simulator) -> Motion:
     """Push at constant speed, with the sand's inertia: mean forces between rows.
 
     The body is heavy and is put back on its path after each step; the force is the momentum that
-    the sand took from it.
+    the sand took from it. Its weight is carried: if it fell during the step, the sand that moves
+    along would be accelerated with it.
     """
     data, timestep = simulator.data, simulator.model.opt.timestep
-    gravity = -float(simulator.model.opt.gravity[2])
+    weight = -float(simulator.model.body_subtreemass[0] * simulator.model.opt.gravity[2])
     assert isinstance(run.body, Projectile)
     place = run.body.touching(run.angle)
 
     def force_at(depth: float) -> float:
         data.qpos[:], data.qvel[:], data.qacc_warmstart[:] = place, (0.0, -run.speed, 0.0), 0.0
         data.qpos[1] -= depth
+        data.qfrc_applied[1] = weight
         simulator.step()
-        return _HEAVY_BODY * ((data.qvel[1] + run.speed) / timestep + gravity)
+        return _HEAVY_BODY * (data.qvel[1] + run.speed) / timestep
 
     depths = run.motion.depth
     force = [force_at(depths[0])]
@@ -369,7 +375,7 @@ def _walk(run: Run, simulator: Simulator) -> Motion:
 
 _MOVES: dict[str, Callable[[Run, Simulator], Motion]] = {
     "drop": _drop,
-    "push": _push,
+    "push": push,
     "place": place,
     "sink": _sink,
     "walk": _walk,

@@ -17,7 +17,7 @@ _LARGEST = 50_000_000
 
 _TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
 _LENGTHS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2}
-_FORCES = {"N": 1.0, "mN": 1e-3, "kN": 1e3}
+_FORCES = {"N": 1.0, "mN": 1e-3, "kN": 1e3, "MN": 1e6}
 _ANGLES = {"deg": 1.0, "degrees": 1.0, "rad": 180.0 / np.pi}
 _HEADINGS: dict[str, tuple[tuple[str, ...], dict[str, float]]] = {
     "time": (("time", "t"), _TIMES),
@@ -93,8 +93,9 @@ def _find(
     if called is not None and called not in headings:
         raise InputError(f"{name} has no column {shown(called)}: it has {listed(headings)}")
     names, units = _HEADINGS[column]
-    factors = {unit.lower(): factor for unit, factor in units.items()}
-    parts = [_split(heading.lower(), factors) for heading in headings]
+    # In lower case too, for headings in capitals; of mN and MN the first counts.
+    factors = {unit.lower(): factor for unit, factor in reversed(units.items())} | units
+    parts = [_split(heading, factors) for heading in headings]
     plain = headings if called else [stem for stem, _ in parts]
     chosen = called or next((known for known in names if known in plain), None)
     if chosen is None:
@@ -103,20 +104,23 @@ def _find(
         raise InputError(f"{name} has {plain.count(chosen)} columns {shown(chosen)}: rename one")
     index = plain.index(chosen)
     unit = parts[index][1]
-    if unit is not None and unit not in factors:
+    if unit is None:
+        return index, 1.0
+    factor = factors.get(unit, factors.get(unit.lower()))
+    if factor is None:
         raise InputError(
             f"{name}: {shown(headings[index])} must be in one of {listed(units)}, got {shown(unit)}"
         )
-    return index, 1.0 if unit is None else factors[unit]
+    return index, factor
 
 
 def _split(heading: str, units: Collection[str]) -> tuple[str, str | None]:
-    """Return the name and unit of a heading; None for no unit."""
+    """Return the name of a heading in lower case, and its unit; None for no unit."""
     bracket = re.fullmatch(r"(.*?)\s*[\[(]\s*(.*?)\s*[\])]", heading)
     if bracket:
-        return bracket[1].strip(), bracket[2]
+        return bracket[1].strip().lower(), bracket[2]
     stem, _, tail = heading.rpartition("_")
-    return (stem, tail) if stem and tail in units else (heading, None)
+    return (stem.lower(), tail) if stem and tail.lower() in units else (heading.lower(), None)
 
 
 def _number(row: list[str], index: int, line: int, name: str) -> float:

@@ -11,7 +11,7 @@ import numpy as np
 from mjgranular.calibrate.material import Material
 from mjgranular.calibrate.motion import Errors, Motion, compare, rms
 from mjgranular.calibrate.runs import Run
-from mjgranular.calibrate.simulate import Simulator, place, simulate_with, simulator_of
+from mjgranular.calibrate.simulate import Simulator, place, push, simulate_with, simulator_of
 from mjgranular.errors import InputError, UnstableError, shown
 from mjgranular.models import Projectile
 
@@ -20,6 +20,8 @@ _FINE = 1e-3  # relative step of a difference; chosen: the error of central ones
 
 _POINTS = 41  # points at which the force of a smooth path is computed; linear in between
 _DEEPEST = 20.0  # depth of a push, at most, in largest extents of the body; chosen, wide
+
+_FAST = 0.1  # Froude number from which a push meets the inertia of sand that it drives; chosen
 
 _FORCES = ("force", "side", "lift")
 _SERIES = {
@@ -133,11 +135,24 @@ class PushTrial(RowsTrial):
             motion = Motion(depth=depth, speed=places, force=none)
         self._simulated = replace(run, motion=motion)
         self._simulator = simulator_of(self._simulated, "place")
+        self._pusher: Simulator | None = None
+        if run.kind == "intrude" and self._simulated.froude > _FAST:
+            # A push has mean forces between rows: with these they are those at `places`.
+            middles = (places[1:] + places[:-1]) / 2
+            ends = np.array([places[0], *middles, 2 * places[-1] - middles[-1]])
+            motion = Motion(depth=ends, force=np.zeros(len(ends)))
+            self._pushed = replace(run, motion=motion)
+            self._pusher = simulator_of(self._pushed, "push")
 
     def simulate(self, material: Material) -> Motion:
-        self._simulator.use(material)
-        found = place(self._simulated, self._simulator)
-        at = getattr(found, self.axis)
+        if self._pusher is not None and material.law.adds_mass:
+            self._pusher.use(material)
+            found = push(self._pushed, self._pusher)
+            at = np.append(found.depth[0], (found.depth[1:] + found.depth[:-1]) / 2)
+        else:
+            self._simulator.use(material)
+            found = place(self._simulated, self._simulator)
+            at = getattr(found, self.axis)
         columns = {s.name: np.interp(self.places, at, getattr(found, s.name)) for s in self.series}
         return Motion(depth=self.places, **columns)
 

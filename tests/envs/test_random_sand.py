@@ -259,6 +259,14 @@ def test_media_may_be_files_and_laws_have_parameters(tmp_path, monkeypatch):
         SandRanges(media=(mine,))
 
 
+def test_the_medium_of_a_law_does_not_depend_on_other_laws():
+    env = gym.make(
+        "mjgranular/Hexapod-v0", medium=None, randomise={"laws": ("depth_velocity", "rft2d")}
+    )
+    choices = [(choice.medium, choice.law) for choice in env.unwrapped.task.choices]
+    assert choices == [("glass_beads", "depth_velocity"), ("play_sand", "rft2d")]
+
+
 def test_wrong_input_is_told():
     with pytest.raises(UnknownNameError, match=r"no medium 'mud'; there are: glass_beads, glass"):
         SandRanges(media=("mud",))

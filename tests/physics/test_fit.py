@@ -135,6 +135,66 @@ def test_strength_is_what_a_plate_says():
     assert result.material.law.scale == result.values["strength"]
 
 
+PLATE = Body("plate", 0.005, 0.03)
+
+
+def pushed(speed, depth, force, angle=0.0):
+    data = {"depth": depth, "force": force}
+    return Run("push", "intrude", data, body=PLATE, speed=speed, angle=angle)
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.8])
+def test_a_slow_push_under_added_mass_is_quasi_static(angle):
+    """The sand that moves along is not accelerated: the plate has one speed, and does not turn."""
+    depth = np.repeat(np.linspace(0.004, 0.03, 10), 2) + np.tile([-1e-5, 1e-5], 10)
+    run = pushed(0.001, depth, depth, angle)
+    with_mass = simulate(run, "quikrete_medium", "rft3d_dynamic").force[1::2]
+    without = simulate(run, "quikrete_medium", "rft3d_dynamic added=0")
+    assert with_mass == pytest.approx(without.force[1::2], rel=5e-3)
+
+
+@pytest.mark.parametrize("speed", [0.05, 1.0, 3.0])
+def test_a_fit_to_a_push_has_the_inertia_of_the_sand(speed):
+    depth = np.linspace(0.0005, 0.03, 60)
+    ends = np.append(depth - 0.00025, depth[-1] + 0.00025)  # means between rows, about `depth`
+    force = simulate(pushed(speed, ends, ends), "quikrete_medium").force[1:]
+    result = run_fit(Fit((pushed(speed, depth, force),), "quikrete_medium", ("strength",)))
+    assert result.values["strength"] == pytest.approx(1.0, abs=0.005)
+    assert result.runs["push"].trajectory < 0.02
+
+
+def test_arguments_that_a_run_does_not_use_are_errors(tmp_path):
+    rows = {"time": [0.0, 0.1], "depth": [-0.02, 0.02]}
+    with pytest.raises(InputError, match="depth is for runs of the kind drag, not for a drop"):
+        Run("ball", "drop", rows, body=BALL, speed=1.0, depth=0.1)
+    with pytest.raises(InputError, match=r"must be a Body or the Path of an MJCF file, got 'leg"):
+        Run("ball", "drop", rows, body="leg.xml", speed=1.0)
+    with pytest.raises(InputError, match="its columns have no rows"):
+        Run("ball", "drop", {"time": [], "depth": []}, body=BALL, speed=1.0)
+    with pytest.raises(InputError, match=r"it begins 0.02 m above the sand"):
+        simulate(Run("ball", "drop", rows, body=BALL, speed=1.0), "glass_beads")
+    file = tmp_path / "runs.yaml"
+    body = "{shape: sphere, diameter: 0.0254}"
+    file.write_text(
+        "medium: {base: quikrete_medium}\n"
+        f"runs: [{{name: a, kind: intrude, height: 0.1, data: a.csv, body: {body}}}]\n"
+    )
+    with pytest.raises(InputError, match="height is for a drop, not for kind intrude"):
+        read_fit(file)
+
+
+@pytest.mark.parametrize(
+    ("heading", "factor"),
+    [("force [MN]", 1e6), ("force [mN]", 1e-3), ("FORCE_N", 1.0), ("Force (KN)", 1e3)],
+)
+def test_units_of_a_heading(heading, factor, tmp_path):
+    table = tmp_path / "push.csv"
+    table.write_text(f"DEPTH [MM],{heading}\n1,2\n2,3\n")
+    run = Run("push", "intrude", table, body=BALL)
+    assert run.motion.depth == pytest.approx([1e-3, 2e-3])
+    assert run.motion.force == pytest.approx([2 * factor, 3 * factor])
+
+
 def test_force_against_speed():
     speed = np.linspace(0.1, 2.0, 12)
     force = 0.3 + QUADRATIC * speed**2  # of depth_velocity, along the surface
