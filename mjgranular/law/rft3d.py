@@ -7,8 +7,6 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from mjgranular._util.checks import is_finite
-from mjgranular.errors import InputError, shown
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.vector import vector
 from mjgranular.law.law import register_law
@@ -200,20 +198,9 @@ class Rft3dLaw(RftLaw):
     lateral: float = 0.0
 
     def __post_init__(self) -> None:
-        self.check_options()
-        for key, low, high in (
-            ("density", 0.0, math.inf),
-            ("internal_friction", 0.0, 2.0),
-            ("surface_friction", 0.0, math.inf),
-            ("scale", 0.0, math.inf),
-            ("grain", 0.0, 0.1),
-        ):
-            value = getattr(self, key)
-            if not (is_finite(value) and low <= value <= high):
-                raise InputError(
-                    f"Rft3dLaw: {key} must be finite and from {low:g} to {high:g}, not "
-                    f"{shown(value)}"
-                )
+        self.check_numbers("internal_friction", high=2.0)
+        self.check_numbers("grain", high=0.1)
+        self.check_options("density", "surface_friction", "scale")
 
     @classmethod
     def calibrated(

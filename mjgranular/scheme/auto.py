@@ -26,9 +26,7 @@ class Auto(SchemeChoice):
 
     name: ClassVar[str] = "auto"
 
-    def scheme_for(
-        self, model: mujoco.MjModel, elements: int, *, adds_mass: bool = False
-    ) -> Scheme:
+    def scheme_for(self, model: mujoco.MjModel, elements: int, adds_mass: bool) -> Scheme:
         step, limit = model.opt.timestep, FINE_STEP
         if elements > MANY_ELEMENTS and step > FINE_STEP:
             limit = _FINE_OF_MANY

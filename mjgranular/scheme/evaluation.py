@@ -38,27 +38,18 @@ RESPOND, DAMP, FOLLOW, SUM = (np.int64(n) for n in range(4))
 """Tasks of a law's program (`forces_program`)."""
 
 
-@partial(compiled, inline=True)
-def _no_momentum(w, body, tile, live, is_first):
-    return
-
-
-@partial(compiled, inline=True)
-def _no_turns(w):
-    return
-
-
 @cache
 def sampling_program(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
     """Make the kernel of `Scheme.sampling`: it fills the workspace's tiles and sets `w.count`."""
-    size, adds_mass = tile_size(kernel), kernel.added is not None
-    note_momentum = momentum_kernel(kernel) if adds_mass else _no_momentum
-    charge_turns = turn_kernel(kernel) if adds_mass else _no_turns
+    size, added = tile_size(kernel), kernel.added
+    note_momentum = None if added is None else momentum_kernel(kernel)
+    charge_turns = None if added is None else turn_kernel(kernel)
 
     @partial(compiled, inline=True)
     def note_head(table, w, body, place, g, tile, number, live, is_first, lead):
         w.heads[number].body, w.heads[number].live = body.body, live
-        note_momentum(w, body.body, tile, live, is_first)
+        if note_momentum is not None:
+            note_momentum(w, body.body, tile, live, is_first)
 
     sample_all = sampling_kernel(kernel, scene_dtype, note_head, compact=True)
 
@@ -70,7 +61,8 @@ def sampling_program(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
         if table[OFF] != 0:
             return 0
         w.count = sample_all(table, w, w.tiles.ctypes.data, 8 * size, 0.0)
-        charge_turns(w)
+        if charge_turns is not None:
+            charge_turns(w)
         return w.count
 
     return find

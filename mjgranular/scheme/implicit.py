@@ -37,16 +37,9 @@ import numpy as np
 
 from mjgranular._util.checks import check_count
 from mjgranular.errors import InputError
+from mjgranular.kernel import engine
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.elementary import bits_of
-from mjgranular.kernel.engine import (
-    bias_forces,
-    constraint_references,
-    forward_acceleration,
-    forward_actuation,
-    solve_inertia,
-    tendon_bias_forces,
-)
 from mjgranular.kernel.intrinsics import call_forces, call_step
 from mjgranular.kernel.memory import BESIDE, LAW, SAMPLING, WORKSPACE, table_at
 from mjgranular.kernel.options import options_at
@@ -111,14 +104,12 @@ class Implicit(Scheme):
         self,
         model: mujoco.MjModel,
         data: mujoco.MjData,
-        elements: np.ndarray,
         kernel: LawKernel,
-        *,
-        within: bool = False,
+        tiles: int,
+        within: bool,
     ) -> Workspace:
-        return make_workspace(
-            model, data, elements, kernel, within=within, evaluations=self.evaluations
-        )
+        options = {"within": int(within), "evaluations": self.evaluations}
+        return make_workspace(model, data, kernel, tiles, options)
 
     def check(self, model: mujoco.MjModel) -> None:
         super().check(model)
@@ -198,15 +189,15 @@ def find_smooth_forces(w):
     """Have the engine compute q, all smooth forces except the sand's, and their accelerations."""
     model, data = w.model, w.data
     if w.within != 0:  # inside the step, what follows passive forces is not yet computed
-        constraint_references(model, data)
-        bias_forces(model, data, 0, w.qfrc_bias.ctypes.data)
-        tendon_bias_forces(model, data, w.qfrc_bias.ctypes.data)
-    forward_actuation(model, data)
+        engine.constraint_references(model, data)
+        engine.bias_forces(model, data, 0, w.qfrc_bias.ctypes.data)
+        engine.tendon_bias_forces(model, data, w.qfrc_bias.ctypes.data)
+    engine.forward_actuation(model, data)
     if w.integrator == DISCRETE:
         make_metric(w)
     else:
         clear(w.shift)
-    forward_acceleration(model, data)
+    engine.forward_acceleration(model, data)
 
 
 @compiled
@@ -273,7 +264,7 @@ def warm_start(w):
     if w.damped != 0:
         for i in range(w.nv):
             damped[i] = inner(w.damping[i], rate)
-        solve_inertia(w.model, w.data, answer.ctypes.data, damped.ctypes.data, 1)
+        engine.solve_inertia(w.model, w.data, answer.ctypes.data, damped.ctypes.data, 1)
         add_scaled(w.qacc_warmstart, 1.0, answer)
 
 

@@ -13,7 +13,7 @@ from mjgranular._util.parse import read_part
 from mjgranular._util.registry import Registry
 from mjgranular.errors import InputError
 from mjgranular.law.kernel import LawKernel
-from mjgranular.scheme.status import BAD_METRIC, BAD_SOLVER, BAD_TIMESTEP, LONG_TIMESTEP
+from mjgranular.scheme.status import REFUSALS
 
 schemes: Registry[type["SchemeChoice"]] = Registry("scheme")
 """Scheme classes by name."""
@@ -44,9 +44,7 @@ class SchemeChoice(ABC):
     name: ClassVar[str]
 
     @abstractmethod
-    def scheme_for(
-        self, model: mujoco.MjModel, elements: int, *, adds_mass: bool = False
-    ) -> "Scheme":
+    def scheme_for(self, model: mujoco.MjModel, elements: int, adds_mass: bool) -> "Scheme":
         """Return the scheme for a model, its number of elements, and its law (`Law.adds_mass`)."""
 
     def check(self, model: mujoco.MjModel) -> None:
@@ -76,29 +74,7 @@ class Scheme(SchemeChoice):
 
     def refusal(self, status: int) -> str:
         """Say why the program returned a status of `scheme.status.REFUSED`, and what to change."""
-        if status == BAD_TIMESTEP:
-            return "the time step of the model (opt.timestep) must be a positive number"
-        if status == LONG_TIMESTEP:
-            return (
-                f"the explicit scheme was chosen for time steps up to {self.step_limit:g} s, and "
-                "that of the model (opt.timestep) is longer now: prepare the sand again, or with "
-                "scheme='implicit'"
-            )
-        if status == BAD_SOLVER:
-            return (
-                "the constraint solver of the model (opt.solver) is none that MuJoCo has: set it "
-                "to PGS, CG or Newton"
-            )
-        if status == BAD_METRIC:
-            return (
-                "with the integrator discrete the implicit scheme predicts the constraint solvers "
-                "Newton and CG (opt.solver), without the flag ipc (opt.enableflags): set these, "
-                "another integrator, or scheme='explicit'"
-            )
-        return (
-            "the sand cannot be stepped with the integrator that the model has now "
-            "(opt.integrator, such as RK4): set it to Euler, implicit, implicitfast or discrete"
-        )
+        return REFUSALS[status].format(limit=self.step_limit)
 
     @property
     @abstractmethod
@@ -131,23 +107,21 @@ class Scheme(SchemeChoice):
         """
         return None
 
-    def scheme_for(
-        self, model: mujoco.MjModel, elements: int, *, adds_mass: bool = False
-    ) -> "Scheme":
+    def scheme_for(self, model: mujoco.MjModel, elements: int, adds_mass: bool) -> "Scheme":
         return self
 
     def workspace(
         self,
         model: mujoco.MjModel,
         data: mujoco.MjData,
-        elements: np.ndarray,
         kernel: LawKernel,
-        *,
-        within: bool = False,
+        tiles: int,
+        within: bool,
     ) -> Workspace:
         """Allocate the memory that the program needs in one simulation, if any.
 
-        `within` is whether it runs among MuJoCo's passive forces, inside its step.
+        `tiles` is the number of tiles of elements (`LawKernel.pack`), `within` whether the program
+        runs among MuJoCo's passive forces, inside its step.
         """
         return Workspace(np.zeros(0, np.int64))
 

@@ -22,9 +22,29 @@ BAD_SOLVER = -6  # the engine does not have this constraint solver: it would end
 BAD_METRIC = -7
 """The integrator `discrete` with options that the implicit scheme does not predict."""
 
-# Numbered downward without gaps.
-REFUSED = (BAD_TIMESTEP, LONG_TIMESTEP, BAD_INTEGRATOR, BAD_SOLVER, BAD_METRIC)
-"""Statuses for options that the scheme cannot step with."""
+REFUSALS = {  # numbered downward without gaps
+    BAD_TIMESTEP: "the time step of the model (opt.timestep) must be a positive number",
+    LONG_TIMESTEP: (
+        "the explicit scheme was chosen for time steps up to {limit:g} s, and that of the model "
+        "(opt.timestep) is longer now: prepare the sand again, or with scheme='implicit'"
+    ),
+    BAD_INTEGRATOR: (
+        "the sand cannot be stepped with the integrator that the model has now (opt.integrator, "
+        "such as RK4): set it to Euler, implicit, implicitfast or discrete"
+    ),
+    BAD_SOLVER: (
+        "the constraint solver of the model (opt.solver) is none that MuJoCo has: set it to PGS, "
+        "CG or Newton"
+    ),
+    BAD_METRIC: (
+        "with the integrator discrete the implicit scheme predicts the constraint solvers Newton "
+        "and CG (opt.solver), without the flag ipc (opt.enableflags): set these, another "
+        "integrator, or scheme='explicit'"
+    ),
+}
+"""Statuses for options that the scheme cannot step with, and what to change."""
+
+REFUSED = tuple(REFUSALS)
 
 _LONGEST = 10**18  # [ns]: any step
 _NANO = 1e-9
