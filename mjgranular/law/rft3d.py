@@ -10,10 +10,9 @@ import numpy as np
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.vector import vector
 from mjgranular.law.law import register_law
-from mjgranular.law.raised import CONE_FORMS, shear_constants
+from mjgranular.law.raised import CONE_FORMS, FRICTION_CUBIC, shear_constants
 from mjgranular.law.rft import RftLaw
 from mjgranular.medium import Medium
-from mjgranular.medium.stiffness import FRICTION_CUBIC, LEVEL_PLATE
 
 # Agarwal et al. 2023, supplementary table: coefficients of the monomials of x1, x2, x3 in the order
 # 1, x1, x2, x3, x1^2, x2^2, x3^2, x1 x2, x2 x3, x3 x1, x1^3, x2^3, x3^3, x1 x2^2, x2 x1^2, x2 x3^2,
@@ -30,6 +29,9 @@ C3 = (-0.02634, -0.03436, 0.45256, 0.00835, 0.02553, -1.31290, -0.05532, 0.06790
       0.02287, 0.02927, 0.95406, -0.00131, -0.11028, 0.01487, -0.02730, 0.10911, -0.04097,
       0.07881, -0.27519)
 # fmt: on
+
+LEVEL_PLATE = 0.87574
+"""|a_z| of the generic response, for a level plate that moves straight down."""
 
 UPRIGHT = 1e-6
 """A wall whose normal points up by less counts as upright. Chosen: there the fit jumps by a fifth

@@ -18,8 +18,7 @@ from mjgranular.kernel.options import options_address
 from mjgranular.kernel.records import BODY_DTYPE, CONTACT_DTYPE
 from mjgranular.sand.guard import Snapshot, add_again, withdraw
 from mjgranular.sand.prepare import PreparedSand
-from mjgranular.scheme.scheme import Workspace
-from mjgranular.scheme.status import nanoseconds
+from mjgranular.scheme.scheme import Workspace, nanoseconds
 from mjgranular.shape.select import body_name, last_dof
 
 
@@ -123,8 +122,7 @@ class SandRegistry:
 
     def __init__(self) -> None:
         # The bodies of each Sand, and whether it is shared.
-        self._members: weakref.WeakKeyDictionary[Any, tuple[set[int], bool]]
-        self._members = weakref.WeakKeyDictionary()
+        self._members = weakref.WeakKeyDictionary[Any, tuple[set[int], bool]]()
         self._shares: list[Binding] = []  # in the order they were added
 
     @property

@@ -16,7 +16,7 @@ from mjgranular.kernel.intrinsics import call_step
 from mjgranular.kernel.memory import floats, records, table_at
 from mjgranular.relief.grid import TIME
 from mjgranular.scheme import wrenches
-from mjgranular.scheme.status import BAD_STATE, FINE
+from mjgranular.scheme.scheme import BAD_STATE, FINE
 
 _RECORD_DTYPE = np.dtype([("model", np.int64), ("data", np.int64), ("state", np.int64)])
 _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)

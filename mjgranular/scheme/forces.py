@@ -8,19 +8,23 @@ import numpy as np
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.fields import column, rows
 from mjgranular.kernel.lanes import total_of
-from mjgranular.kernel.memory import held
-from mjgranular.kernel.motion import velocity_at
+from mjgranular.kernel.memory import SCENE, WORKSPACE, held, records, table_at
+from mjgranular.kernel.motion import read_motion, velocity_at
 from mjgranular.kernel.vector import Matrix, Vector, cross, diagonal, dot, norm, vector
 from mjgranular.law.kernel import LawKernel
 from mjgranular.law.multiplier import multiplier_of
 from mjgranular.law.secant import secant
 from mjgranular.scheme import layout
 from mjgranular.scheme.added import added_kernel, kink_kernel
+from mjgranular.scheme.workspace import workspace_at
+from mjgranular.scheme.wrenches import gravity_of
 
 # Not literals: numba would compile a function for each of them.
 FRESH, NEXT, SAME, LAST = (np.int64(n) for n in range(4))
 """Origins of multipliers: the velocity itself, a Newton step to it, the stored ones, the last
 step."""
+RESPOND, DAMP, FOLLOW, SUM = (np.int64(n) for n in range(4))
+"""Tasks of a law's program (`forces_program`)."""
 
 # In effect no softness [m/s], except at zero speed. Chosen: far below any motion, far above the
 # square root of the smallest number.
@@ -33,11 +37,6 @@ class Response(NamedTuple):
     force: Vector  # [N]
     slope: Matrix  # minus its derivative by the velocity [N s/m]
     mismatch: float  # square of the difference between this multiplier and the velocity's
-
-
-@partial(compiled, inline=True)
-def _no_kink(tile, lane, by_v, by_force):
-    return False
 
 
 def move_kernel(kernel: LawKernel) -> Any:
@@ -272,7 +271,7 @@ def follow_kernel(kernel: LawKernel) -> Any:
     read_weight = all_weights.read
     read, read_sample = column(Vector, lanes).read, column(kernel.samples, lanes).read
     read_slope = column(Matrix, lanes).read
-    is_near_kink = _no_kink if kernel.added is None else kink_kernel(kernel)
+    is_near_kink = None if kernel.added is None else kink_kernel(kernel)
 
     @compiled
     def follow(tile, motion, wrench, eps, stores):
@@ -291,11 +290,59 @@ def follow_kernel(kernel: LawKernel) -> Any:
             change_here = velocity_at(motion, read(tile, layout.ARM * lanes + lane)) - v
             sample = read_sample(tile, layout.SAMPLE * lanes + lane)
             slope = read_slope(tile, layout.SLOPE * lanes + lane)
-            is_near = is_near_kink(tile, lane, change_here, slope @ change_here)
-            tile[layout.TURN * lanes + lane] = 1.0 if is_near else turn(sample, v, change_here, eps)
+            found = turn(sample, v, change_here, eps)
+            if is_near_kink is not None:
+                is_near = is_near_kink(tile, lane, change_here, slope @ change_here)
+                found = 1.0 if is_near else found
+            tile[layout.TURN * lanes + lane] = found
         most = 0.0
         for lane in range(lanes):
             most = max(most, tile[layout.TURN * lanes + lane])
         return most
 
     return follow
+
+
+@cache
+def forces_program(kernel: LawKernel, law_dtype: np.dtype) -> Any:
+    """Make the kernel `forces(address, work, task, eps, update, loose)`: a law's loops over tiles.
+
+    The arguments are the address of the sand's table, that of the workspace that has the motions of
+    the bodies and sums up forces, one of the tasks above, and those of `evaluate`. `SUM` adds the
+    forces in the tiles. It returns the greatest mismatch, for `FOLLOW` the greatest turn
+    (`law.kernel`).
+    """
+    move, damp = move_kernel(kernel), damp_kernel(kernel)
+    respond = with_momentum(kernel, resistance_kernel(kernel))
+    add, follow = add_kernel(kernel.lanes), follow_kernel(kernel)
+    laws = records(law_dtype)  # the law is the first field of a scene
+
+    @compiled
+    def forces(address, work, task, eps, update, loose):
+        table = table_at(address)
+        own, w = workspace_at(table[WORKSPACE]), workspace_at(work)
+        most = 0.0
+        if task == FOLLOW:
+            for i in range(own.count):
+                body, stores = own.heads[i].body, update != LAST
+                turn = follow(
+                    own.tiles[i], read_motion(w.motion[body], 0), w.wrench[body], eps, stores
+                )
+                most = max(most, turn)
+        elif task == SUM:
+            for i in range(own.count):
+                body = own.heads[i].body
+                add(own.tiles[i], w.wrench[body], w.stiffness[body])
+        else:
+            law, g = laws(table[SCENE], 1)[0], gravity_of(table)
+            for i in range(own.count):
+                tile, body = own.tiles[i], own.heads[i].body
+                move(tile, read_motion(w.motion[body], 0), update, eps, loose)
+                if task == DAMP:
+                    damp(tile, law, g, eps)
+                else:
+                    respond(tile, law, g, eps)
+                most = max(most, add(tile, w.wrench[body], w.stiffness[body]))
+        return most
+
+    return forces

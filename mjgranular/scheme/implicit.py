@@ -49,14 +49,13 @@ from mjgranular.law.kernel import LawKernel
 from mjgranular.scheme.balance import prepare_inertia
 from mjgranular.scheme.constraints import prepare_constraints
 from mjgranular.scheme.dense import add_scaled, clear, copy, inner
-from mjgranular.scheme.evaluation import SUM, forces_program, sampling_program
-from mjgranular.scheme.forces import SAME
+from mjgranular.scheme.forces import SAME, SUM, forces_program
 from mjgranular.scheme.layout import FORCE, INDEX, VELOCITY
 from mjgranular.scheme.metric import is_unsupported, make_metric
 from mjgranular.scheme.passivity import passive_share
-from mjgranular.scheme.scheme import Scheme, Workspace, schemes
+from mjgranular.scheme.sampling import sampling_program
+from mjgranular.scheme.scheme import BAD_METRIC, FINE, Scheme, Workspace, check_options
 from mjgranular.scheme.solver import find_velocity, lane_vector
-from mjgranular.scheme.status import BAD_METRIC, FINE, check_options
 from mjgranular.scheme.workspace import (
     DISCRETE,
     make_workspace,
@@ -117,9 +116,6 @@ class Implicit(Scheme):
         # As Python: it would be compiled again in every process.
         if is_unsupported.py_func(options.integrator, options.solver, options.enableflags):
             raise InputError(self.refusal(BAD_METRIC))
-
-
-schemes.add(Implicit.name, Implicit)
 
 
 @compiled

@@ -1,27 +1,25 @@
 """Find the elements in the sand and fill tiles with them: both schemes' loop over elements."""
 
 import math
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
 
+from mjgranular.kernel import memory
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.elementary import bits_of, number_of
 from mjgranular.kernel.fields import column, rows, size_of
 from mjgranular.kernel.lanes import all_of, choose, count_of
-from mjgranular.kernel.memory import CONTACTS, ELEMENTS, SCENE, floats, records, scratch
+from mjgranular.kernel.memory import floats, records, scratch
 from mjgranular.kernel.motion import velocity_at
 from mjgranular.kernel.records import CONTACT_DTYPE, bodies_of, contacts_of
 from mjgranular.kernel.vector import Vector, dot, write_vector
 from mjgranular.law.kernel import LawKernel, level_kernel
 from mjgranular.scheme import layout
+from mjgranular.scheme.added import momentum_kernel, turn_kernel
+from mjgranular.scheme.workspace import workspace_at
 from mjgranular.scheme.wrenches import gravity_of, place_of, pose_at
-
-
-@partial(compiled, inline=True)
-def _no_level(surface, pose):
-    return 0.0
 
 
 def sampling_kernel(kernel: LawKernel, scene_dtype: np.dtype, finish: Any, *, compact: bool) -> Any:
@@ -39,7 +37,7 @@ def sampling_kernel(kernel: LawKernel, scene_dtype: np.dtype, finish: Any, *, co
     """
     lanes, size = kernel.lanes, layout.tile_size(kernel)
     packed_size = size_of(kernel.element) * lanes
-    level = _no_level if kernel.cull is None else level_kernel(kernel.probe)
+    level = None if kernel.cull is None else level_kernel(kernel.probe)
     if kernel.side_by_side:
         look, take, close = _side_by_side(kernel, scene_dtype, compact)
     else:
@@ -71,14 +69,14 @@ def sampling_kernel(kernel: LawKernel, scene_dtype: np.dtype, finish: Any, *, co
     @compiled
     def sample_all(table, workspace, tiles, step, lead):
         bodies = bodies_of(table)
-        surface = scene_records(table[SCENE], 1)[0].surface
+        surface = scene_records(table[memory.SCENE], 1)[0].surface
         g = gravity_of(table)
-        packed, depths = table[ELEMENTS], room_of_depths()
+        packed, depths = table[memory.ELEMENTS], room_of_depths()
         number, first = 0, 0
         for slot in range(len(bodies)):
             body = bodies[slot]
             place = place_of(table, body)
-            around = level(surface, pose_at(place))
+            around = 0.0 if level is None else level(surface, pose_at(place))
             start = number
             live = 0
             while first < body.end:
@@ -124,7 +122,7 @@ def _look_at_all(kernel: LawKernel) -> Any:
     def look(table, packed, first, here, around, depths):
         deepest = cull(read_elements(floats(packed, packed_size), 0), around)
         write_depths(depths, 0, deepest)
-        contacts = table[CONTACTS] + contact_size * first
+        contacts = table[memory.CONTACTS] + contact_size * first
         if here == lanes:
             note_depths(floats(contacts, lanes * stride), 0, read_depths(depths, 0))
         else:
@@ -159,7 +157,7 @@ def _one_by_one(kernel: LawKernel, scene_dtype: np.dtype) -> tuple[Any, Any, Any
     @compiled
     def take(table, packed, first, lane, here, place, around, g, depths, address, live):
         contacts = contacts_of(table)
-        scene = scene_records(table[SCENE], 1)[0]
+        scene = scene_records(table[memory.SCENE], 1)[0]
         elements, tile = floats(packed, packed_size), floats(address, size)
         while lane < here and live < lanes:
             if not depths[lane] <= 0.0:
@@ -198,7 +196,7 @@ def _side_by_side(kernel: LawKernel, scene_dtype: np.dtype, compact: bool) -> tu
 
     @compiled
     def sample_tile(table, array, at, place, g, tile):
-        scene = scene_records(table[SCENE], 1)[0]
+        scene = scene_records(table[memory.SCENE], 1)[0]
         found = sample(read_elements(array, at), pose_at(place), scene.law, scene.surface, g)
         write_samples(tile, layout.SAMPLE * lanes, found)
 
@@ -236,3 +234,33 @@ def _side_by_side(kernel: LawKernel, scene_dtype: np.dtype, compact: bool) -> tu
         sample_tile(table, tile, gathered, place, g, tile)
 
     return look, take, close
+
+
+@cache
+def sampling_program(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
+    """Make the kernel of `Scheme.sampling`: it fills the workspace's tiles and sets `w.count`."""
+    size, added = layout.tile_size(kernel), kernel.added
+    note_momentum = None if added is None else momentum_kernel(kernel)
+    charge_turns = None if added is None else turn_kernel(kernel)
+
+    @partial(compiled, inline=True)
+    def note_head(table, w, body, place, g, tile, number, live, is_first, lead):
+        w.heads[number].body, w.heads[number].live = body.body, live
+        if note_momentum is not None:
+            note_momentum(w, body.body, tile, live, is_first)
+
+    sample_all = sampling_kernel(kernel, scene_dtype, note_head, compact=True)
+
+    @compiled
+    def find(address, lead):
+        table = memory.table_at(address)
+        w = workspace_at(table[memory.WORKSPACE])
+        w.h, w.count = lead, 0
+        if table[memory.OFF] != 0:
+            return 0
+        w.count = sample_all(table, w, w.tiles.ctypes.data, 8 * size, 0.0)
+        if charge_turns is not None:
+            charge_turns(w)
+        return w.count
+
+    return find

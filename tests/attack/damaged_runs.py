@@ -72,7 +72,8 @@ def make_runs() -> None:
     assert main([*sweep, "--workers", "1", "--out", str(RUNS / "sweep")]) == 0
     rows = [*run_study(SWEEP, workers=1).rows()]
     journal = journal_of(SWEEP, RUNS / "sweep")
-    journal.keep([*enumerate(rows[:3])])
+    for index, row in enumerate(rows[:3]):
+        journal.keep(index, row)
     journal.close()
     for algorithm, some in QUICK.items():
         few = ("num_envs=2", "checkpoint_every=64", "total_steps=128", "net=[8, 8]")

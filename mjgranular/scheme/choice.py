@@ -1,13 +1,15 @@
-"""Automatic choice of the scheme."""
+"""Schemes by name, and their automatic choice."""
 
 from dataclasses import dataclass
 from typing import ClassVar
 
 import mujoco
 
+from mjgranular._util.parse import read_part
+from mjgranular._util.registry import Registry
 from mjgranular.scheme.explicit import Explicit
 from mjgranular.scheme.implicit import Implicit
-from mjgranular.scheme.scheme import Scheme, SchemeChoice, schemes
+from mjgranular.scheme.scheme import Scheme, SchemeChoice
 
 # Both chosen. Below this step the paper's link creeps by less than 0.5 mm/s with the explicit
 # scheme, which is of second order there (docs/scheme.md). Above this number of elements a step of
@@ -34,4 +36,25 @@ class Auto(SchemeChoice):
         return Explicit(longest_step=limit) if fine else Implicit()
 
 
-schemes.add(Auto.name, Auto)
+schemes: Registry[type[SchemeChoice]] = Registry("scheme")
+"""Scheme classes by name."""
+
+for kind in (Explicit, Implicit, Auto):
+    schemes.add(kind.name, kind)
+
+
+def get_scheme(scheme: str | SchemeChoice) -> SchemeChoice:
+    """Return the scheme of that name, or `scheme` itself.
+
+    A name may be followed by options, such as "implicit evaluations=9"; others keep their defaults.
+
+    Raises:
+        UnknownNameError: no such scheme; lists the existing ones.
+        InputError: the scheme does not have that option, or its value has a wrong type.
+    """
+    if isinstance(scheme, SchemeChoice):
+        return scheme
+    if not isinstance(scheme, str) or not scheme.strip():
+        return schemes[scheme]()
+    cls, given = read_part(scheme, schemes, "scheme")
+    return cls(**given)
