@@ -290,11 +290,10 @@ def follow_kernel(kernel: LawKernel) -> Any:
             change_here = velocity_at(motion, read(tile, layout.ARM * lanes + lane)) - v
             sample = read_sample(tile, layout.SAMPLE * lanes + lane)
             slope = read_slope(tile, layout.SLOPE * lanes + lane)
-            found = turn(sample, v, change_here, eps)
+            is_near = False
             if is_near_kink is not None:
                 is_near = is_near_kink(tile, lane, change_here, slope @ change_here)
-                found = 1.0 if is_near else found
-            tile[layout.TURN * lanes + lane] = found
+            tile[layout.TURN * lanes + lane] = 1.0 if is_near else turn(sample, v, change_here, eps)
         most = 0.0
         for lane in range(lanes):
             most = max(most, tile[layout.TURN * lanes + lane])
