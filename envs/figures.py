@@ -10,8 +10,8 @@ from mjgranular.engine.instances import sands_in
 from mjgranular.engine.sensor import SandReadings
 from mjgranular.law.validity import found_at
 from mjgranular.sand import SandSpec
-from mjgranular.sand.chosen import geoms_in_sand
 from mjgranular.sand.material import material_of
+from mjgranular.sand.prepare import geoms_in_sand
 from mjgranular.surface.choice import surface_of
 
 

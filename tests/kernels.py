@@ -45,7 +45,7 @@ class Kernels:
         @njit(error_model="numpy")
         def force(numbers, law, g, v, out):
             v = read_vector(v, 0)
-            write_vector(out, 0, force_of(read_sample(numbers, 0), law, g, v, v))
+            write_vector(out, 0, force_of(read_sample(numbers, 0), law, g, v, v, 0.0))
 
         def response(respond):
             linearize = linearized(kernel, respond)

@@ -20,7 +20,7 @@ from PIL import Image
 
 from mjgranular.experiment import Drop, Impact, run_drop, run_impact
 from mjgranular.experiment.drop import load
-from mjgranular.picture.video import Film, Motion, frames_of_model, frames_of_run
+from mjgranular.picture.video import Film, Motion, frames_of_impact, frames_of_model
 
 FOLDER = Path(__file__).resolve().parent
 ASSETS = Path(gymnasium.__file__).parent / "envs" / "mujoco" / "assets"
@@ -58,7 +58,7 @@ def frames_of_link() -> Iterator[np.ndarray]:
     assert result.touchdown is not None
     film = Film(camera="side", width=480, height=360, fps=25, seconds=2.5, hold=0.5)
     stop = result.touchdown + result.stop.time
-    return frames_of_run(film, result.impact.link, result.trajectory, stop=stop)[1]
+    return frames_of_impact(film, result.impact, result.trajectory, stop)[1]
 
 
 def main(names: list[str]) -> None:

@@ -14,7 +14,7 @@ from mjgranular.calibrate.trial import Series, Trial
 from mjgranular.errors import InputError, shown
 from mjgranular.experiment.drop import Drop, load, start_from
 from mjgranular.models import Projectile
-from mjgranular.sand.chosen import geoms_in_sand
+from mjgranular.sand.prepare import geoms_in_sand
 from mjgranular.sand.spec import SandSpec
 from mjgranular.scheme import Implicit
 from mjgranular.shape.select import find_all

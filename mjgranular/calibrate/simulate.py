@@ -24,7 +24,7 @@ from mjgranular.sand.guard import finish_step, guarded_step
 from mjgranular.sand.prepare import PreparedSand, prepare
 from mjgranular.sand.spec import SandSpec
 from mjgranular.scheme import Explicit, Scheme
-from mjgranular.scheme.status import FINE
+from mjgranular.scheme.scheme import FINE
 
 TIMESTEP = 5e-5
 """Time step of simulated drops [s]: halving it changes final depths by less than 0.3 %."""

@@ -30,7 +30,7 @@ from mjgranular.kernel.structs import fields_of, offset_of, read_struct
 from mjgranular.sand.binding import bind
 from mjgranular.sand.prepare import PreparedSand
 from mjgranular.scheme import Scheme
-from mjgranular.scheme.status import REFUSED
+from mjgranular.scheme.scheme import REFUSED
 
 RELOCATION_DTYPE = np.dtype(
     [

@@ -27,7 +27,7 @@ from mjgranular.kernel.memory import field, floats, ints, longs, records, row_of
 from mjgranular.kernel.options import has_passive_forces, options_of
 from mjgranular.kernel.records import bodies_of, contacts_of
 from mjgranular.kernel.vector import cross, read_vector
-from mjgranular.scheme.status import BAD_TIMESTEP, REFUSED
+from mjgranular.scheme.scheme import BAD_TIMESTEP, REFUSED
 
 Callbacks = dict[str, tuple[Any, str]]
 """Compiled functions by their fields in `mjpPlugin`, and their signatures."""

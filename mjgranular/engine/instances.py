@@ -14,8 +14,8 @@ from mjgranular.law import Law
 from mjgranular.medium import Medium
 from mjgranular.relief.memory import Heights, Memory, as_memory, heights_of
 from mjgranular.relief.relief import place_in_plane
-from mjgranular.sand.chosen import geoms_in_sand
 from mjgranular.sand.material import material_of
+from mjgranular.sand.prepare import geoms_in_sand
 from mjgranular.sand.spec import SandSpec
 from mjgranular.surface import Surface
 from mjgranular.surface.choice import surface_of

@@ -30,7 +30,7 @@ from mjgranular.models import robot_path
 from mjgranular.render import Tracks
 from mjgranular.render.scenery import add_scenery, place_sun
 from mjgranular.sand import Sand
-from mjgranular.sand.chosen import geoms_in_sand
+from mjgranular.sand.prepare import geoms_in_sand
 from mjgranular.sand.report import BodyReport
 from mjgranular.sand.work import WorkMeter
 from mjgranular.surface.floors import FloorWatch

@@ -6,7 +6,7 @@ import mujoco
 
 from mjgranular.errors import FloorWarning, InputError, warn_user
 from mjgranular.render.material import NOT_SHOWN
-from mjgranular.sand.chosen import geoms_in_sand
+from mjgranular.sand.prepare import geoms_in_sand
 from mjgranular.sand.spec import SandSpec
 from mjgranular.shape.select import find_all
 from mjgranular.surface import Bed, HeightField, Plane, Surface

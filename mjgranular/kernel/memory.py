@@ -21,7 +21,7 @@ from mjgranular.kernel.intrinsics import intrinsic
 from mjgranular.kernel.structs import fields_of, offset_of
 
 # The table: five numbers, then addresses. `sand.binding` fills it. LONGEST_STEP is in nanoseconds
-# (`scheme.status`).
+# (`scheme.scheme`).
 # Within `mj_step` (`engine.block`) XFRC, WARNINGS and SNAPSHOT are 0: there MuJoCo handles them.
 # STATE to UPDATE belong to a surface with memory: the address of its state, the number of values in
 # it, and the address of the program that updates it after a step; 0 without memory. SAMPLING and

@@ -113,7 +113,7 @@ class DepthVelocityLaw(Law):
     quadratic: float = 0.0
 
     def __post_init__(self) -> None:
-        self.check_not_negative("constant", "stiffness", "exponent", "linear", "quadratic")
+        self.check_numbers("constant", "stiffness", "exponent", "linear", "quadratic")
 
     def elements(
         self, model: mujoco.MjModel, geoms: Sequence[int], resolution: int | None = None

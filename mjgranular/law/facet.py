@@ -105,22 +105,9 @@ def facet_kernel(
         # longer.
         if not is_plane and all_of(depth <= 0.0):
             return FacetSample(
-                depth,
-                0.0,
-                point,
-                point,
-                up,
-                point,
-                point,
-                middle,
-                rise_1,
-                rise_2,
-                depth,
-                depth,
-                depth,
-                depth,
-                depth,
-            )
+                depth, 0.0, point, point, up, point, point, middle, rise_1, rise_2,
+                depth, depth, depth, depth, depth,
+            )  # fmt: skip
         lowered = middle
         if law.rise != 0.0:
             lowered = lowered_behind(middle, pose, point, g)

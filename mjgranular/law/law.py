@@ -1,6 +1,7 @@
 """The interface of laws, and their registry."""
 
 import difflib
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import MISSING, fields, replace
@@ -82,22 +83,18 @@ class Law(ABC):
             InputError: a field is not a finite number.
         """
         known = fields(self)  # pyright: ignore[reportArgumentType]
-        numbers = {field.name: getattr(self, field.name) for field in known}
-        for name, value in numbers.items():
-            if not is_finite(value):
-                raise InputError(
-                    f"{type(self).__name__}: {name} must be a finite number, not {shown(value)}"
-                )
-        return record_of(**numbers)
+        self.check_numbers(*(field.name for field in known), low=-math.inf)
+        return record_of(**{field.name: getattr(self, field.name) for field in known})
 
-    def check_not_negative(self, *names: str) -> None:
-        """Check that fields are finite and not negative."""
+    def check_numbers(self, *names: str, low: float = 0.0, high: float = math.inf) -> None:
+        """Check that fields are finite numbers in a range."""
+        limits = f"from {low:g} to {high:g}" if high < math.inf else "not negative"
+        rule = "finite" if low == -math.inf else f"finite and {limits}"
         for name in names:
             value = getattr(self, name)
-            if not (is_finite(value) and value >= 0):
+            if not (is_finite(value) and low <= value <= high):
                 raise InputError(
-                    f"{type(self).__name__}: {name} must be finite and not negative, not "
-                    f"{shown(value)}"
+                    f"{type(self).__name__}: {name} must be {rule}, not {shown(value)}"
                 )
 
     @property

@@ -172,7 +172,7 @@ class _LinkForm(Law):
     exponent: float
 
     def __post_init__(self) -> None:
-        self.check_not_negative(*LINK_KEYS)
+        self.check_numbers(*LINK_KEYS)
 
     @classmethod
     def from_medium(cls, medium: Medium | str) -> Self:

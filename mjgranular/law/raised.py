@@ -24,7 +24,10 @@ from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.lanes import choose, root
 from mjgranular.kernel.motion import velocity_at
 from mjgranular.kernel.vector import dot
-from mjgranular.medium.stiffness import FRICTION_CUBIC
+
+FRICTION_CUBIC = Polynomial([0.0, 89.0, -386.0, 894.0])
+"""xi_n / (rho_c g) by the coefficient of internal friction mu: 894 mu^3 - 386 mu^2 + 89 mu, of
+Agarwal, Goldman and Kamrin, PNAS 120 (2023)."""
 
 INERTIAL_NUMBER = 0.279
 """I_0, at which half of the rise is reached: glass beads, Jop, Forterre and Pouliquen 2006."""

@@ -95,7 +95,7 @@ class RftLaw(Law):
     def check_options(self, *more: str) -> None:
         """Check the options; `more` names other numbers that must not be negative."""
         check_switch(f"{type(self).__name__}: rise", self.rise)
-        self.check_not_negative(*more, "inertia", "added", "cone", "rate", "lateral")
+        self.check_numbers(*more, "inertia", "added", "cone", "rate", "lateral")
 
     def record(self, **numbers: Any) -> np.ndarray:
         """Return the record of these numbers and of those that all kernels of facets read."""

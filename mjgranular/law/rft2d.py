@@ -7,8 +7,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from mjgranular._util.checks import is_finite
-from mjgranular.errors import InputError, shown
+from mjgranular.errors import InputError
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.elementary import exponential, logarithm
 from mjgranular.kernel.vector import vector
@@ -202,9 +201,7 @@ class Rft2dLaw(RftLaw):
             raise InputError(
                 f"{type(self).__name__}: inertia of sand needs the bulk density [kg/m^3]"
             )
-        for key in FOURIER_KEYS:
-            if not is_finite(getattr(self, key)):
-                raise InputError(f"Rft2dLaw: {key} must be finite, not {shown(getattr(self, key))}")
+        self.check_numbers(*FOURIER_KEYS, low=-math.inf)
 
     @classmethod
     def from_medium(cls, medium: Medium | str) -> Self:

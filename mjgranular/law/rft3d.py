@@ -7,15 +7,12 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from mjgranular._util.checks import is_finite
-from mjgranular.errors import InputError, shown
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.vector import vector
 from mjgranular.law.law import register_law
-from mjgranular.law.raised import CONE_FORMS, shear_constants
+from mjgranular.law.raised import CONE_FORMS, FRICTION_CUBIC, shear_constants
 from mjgranular.law.rft import RftLaw
 from mjgranular.medium import Medium
-from mjgranular.medium.stiffness import FRICTION_CUBIC, LEVEL_PLATE
 
 # Agarwal et al. 2023, supplementary table: coefficients of the monomials of x1, x2, x3 in the order
 # 1, x1, x2, x3, x1^2, x2^2, x3^2, x1 x2, x2 x3, x3 x1, x1^3, x2^3, x3^3, x1 x2^2, x2 x1^2, x2 x3^2,
@@ -32,6 +29,9 @@ C3 = (-0.02634, -0.03436, 0.45256, 0.00835, 0.02553, -1.31290, -0.05532, 0.06790
       0.02287, 0.02927, 0.95406, -0.00131, -0.11028, 0.01487, -0.02730, 0.10911, -0.04097,
       0.07881, -0.27519)
 # fmt: on
+
+LEVEL_PLATE = 0.87574
+"""|a_z| of the generic response, for a level plate that moves straight down."""
 
 UPRIGHT = 1e-6
 """A wall whose normal points up by less counts as upright. Chosen: there the fit jumps by a fifth
@@ -200,20 +200,9 @@ class Rft3dLaw(RftLaw):
     lateral: float = 0.0
 
     def __post_init__(self) -> None:
-        self.check_options()
-        for key, low, high in (
-            ("density", 0.0, math.inf),
-            ("internal_friction", 0.0, 2.0),
-            ("surface_friction", 0.0, math.inf),
-            ("scale", 0.0, math.inf),
-            ("grain", 0.0, 0.1),
-        ):
-            value = getattr(self, key)
-            if not (is_finite(value) and low <= value <= high):
-                raise InputError(
-                    f"Rft3dLaw: {key} must be finite and from {low:g} to {high:g}, not "
-                    f"{shown(value)}"
-                )
+        self.check_numbers("internal_friction", high=2.0)
+        self.check_numbers("grain", high=0.1)
+        self.check_options("density", "surface_friction", "scale")
 
     @classmethod
     def calibrated(

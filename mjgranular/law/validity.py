@@ -38,7 +38,6 @@ class Standing:
     """A body compared with a limit.
 
     Attributes:
-        limit: the limit.
         value: the measure now; None if it is unknown (no grain size).
         holds: whether it is within the limit; true if it is unknown.
     """

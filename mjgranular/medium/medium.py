@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -71,27 +72,21 @@ class Medium:
                 f"{medium}: constants are a table of laws, {{'rft3d': {{name: Quantity(...)}}}}, "
                 f"not {shown(self.constants)}"
             )
-        sizes = [("bulk density", self.density, DENSITIES, "kg/m^3")]
+        numbers: list[tuple[str, Any, tuple[float, float] | None, str]]
+        numbers = [("the bulk density", self.density, DENSITIES, "kg/m^3")]
         if self.grain is not None:
-            sizes.append(("grain size", self.grain, _GRAINS, "m"))
-        for what, one, (low, high), unit in sizes:
+            numbers.append(("the grain size", self.grain, _GRAINS, "m"))
+        for law, constants in self.constants.items():
+            numbers += [(f"{law}.{key}", one, None, "") for key, one in constants.items()]
+        for what, one, limits, unit in numbers:
             if not isinstance(one, Quantity):
                 raise InputError(
-                    f"{medium}: the {what} is a Quantity(value, unit, source), not {kind_of(one)}"
+                    f"{medium}: {what} is a Quantity(value, unit, source), not {kind_of(one)}"
                 )
-            if not low <= one.value <= high:
-                raise InputError(
-                    f"{medium}: the {what} must be from {low:g} to {high:g} {unit}, not {one.value}"
-                )
-        for law, constants in self.constants.items():
-            for key, quantity in constants.items():
-                if not isinstance(quantity, Quantity):
-                    raise InputError(
-                        f"{medium}: {law}.{key} is a Quantity(value, unit, source), not "
-                        f"{kind_of(quantity)}"
-                    )
-                if not math.isfinite(quantity.value):
-                    raise InputError(f"{medium}: {law}.{key} must be finite, not {quantity.value}")
+            low, high = limits or (-math.inf, math.inf)
+            if not (math.isfinite(one.value) and low <= one.value <= high):
+                rule = f"from {low:g} to {high:g} {unit}" if limits else "finite"
+                raise InputError(f"{medium}: {what} must be {rule}, not {one.value}")
         if self.key_for(self.default_law) is None:
             raise InputError(
                 f"{medium}: its default law {shown(self.default_law)} has no constants; "

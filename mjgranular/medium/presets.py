@@ -24,7 +24,7 @@ _MEDIA = {
     # mean is used. The default law is the one that was validated for fast motion
     # (docs/validity.md), not the table for plates. With the measured alpha_z of a level plate
     # pushed straight down, where the Fourier series is 5 to 28 % softer, `scale` of `rft3d` is
-    # alpha_z / (LEVEL_PLATE density 9.81 FRICTION_CUBIC(internal_friction)) (`medium.stiffness`).
+    # alpha_z / (LEVEL_PLATE density 9.81 FRICTION_CUBIC(internal_friction)) (`law.rft3d`).
     "poppy_seed_loose": ("Poppy seed, loosely packed", "rft3d_dynamic"),
     "poppy_seed_close": ("Poppy seed, closely packed", "rft3d_dynamic"),
     "glass_beads_loose": ("Glass beads of 0.3 mm, loosely packed", "rft3d_dynamic"),

@@ -12,23 +12,11 @@ import numpy as np
 from mjgranular._util.extras import require
 from mjgranular._util.files import atomic_write
 from mjgranular.errors import InputError
+from mjgranular.picture import outlines
 from mjgranular.picture.figures import plain
+from mjgranular.picture.outlines import Color, Shown
+from mjgranular.picture.outlines import kind_of as kind_of
 from mjgranular.picture.scene import add_arrow
-from mjgranular.picture.shown import (
-    AROUND,
-    INK,
-    RED,
-    Color,
-    Shown,
-    area_vectors,
-    frames_of,
-    half_edges,
-    padded,
-    polygons_of,
-    rgb,
-    with_alpha,
-)
-from mjgranular.picture.shown import kind_of as kind_of
 from mjgranular.sand import Sand
 from mjgranular.surface import Plane
 
@@ -128,22 +116,22 @@ def _draw(figure: Any, shown: Shown, surface: Any, *, normals: bool, forces: boo
     """Draw the elements, the sand and a legend into an empty figure."""
     art = require("mpl_toolkits.mplot3d.art3d", extra="figures", purpose="Drawing elements")
     axes = figure.add_axes((0.0, 0.06, 0.88, 0.86), projection="3d", computed_zorder=False)
-    polygons, owners = polygons_of(shown)
+    polygons, owners = outlines.polygons_of(shown)
     tails, tips = shown.normals() if normals else _NONE
-    lines = padded(np.stack([tails, tips], axis=1), polygons.shape[1])
+    lines = outlines.padded(np.stack([tails, tips], axis=1), polygons.shape[1])
     faces = _shaded(polygons, shown.colors[owners])
     edges = 0.45 * shown.colors[owners]
     if shown.kind == "rods":
-        round_sides = slice(None, AROUND * len(shown.elements))
+        round_sides = slice(None, outlines.AROUND * len(shown.elements))
         edges[round_sides] = faces[round_sides]
     alpha = 0.55 if shown.kind == "blobs" else 1.0
-    ink = np.tile([*rgb(INK), 1.0], (len(lines), 1))
+    ink = np.tile([*outlines.rgb(outlines.INK), 1.0], (len(lines), 1))
     # One collection for all: only within one are polygons sorted by their distance.
     axes.add_collection3d(
         art.Poly3DCollection(
             np.concatenate([polygons, lines]),
-            facecolors=np.concatenate([with_alpha(faces, alpha), ink]),
-            edgecolors=np.concatenate([with_alpha(edges, alpha), ink]),
+            facecolors=np.concatenate([outlines.with_alpha(faces, alpha), ink]),
+            edgecolors=np.concatenate([outlines.with_alpha(edges, alpha), ink]),
             linewidths=[0.35] * len(polygons) + [0.6] * len(lines),
             zorder=2,
         )
@@ -152,7 +140,7 @@ def _draw(figure: Any, shown: Shown, surface: Any, *, normals: bool, forces: boo
     tails, tips = shown.forces() if forces else _NONE
     if len(tails):
         arrows = tips - tails
-        style = {"color": RED, "linewidth": 1.1, "arrow_length_ratio": 0.2, "zorder": 3}
+        style = {"color": outlines.RED, "linewidth": 1.1, "arrow_length_ratio": 0.2, "zorder": 3}
         axes.quiver(*tails.T, *arrows.T, **style)
         points = np.concatenate([points, tails, tips])
     low, high = _box(points)
@@ -164,7 +152,7 @@ def _draw(figure: Any, shown: Shown, surface: Any, *, normals: bool, forces: boo
 
 def _shaded(polygons: np.ndarray, colors: np.ndarray) -> np.ndarray:
     """Return the colors of polygons under a light, from either side."""
-    normals = area_vectors(polygons)
+    normals = outlines.area_vectors(polygons)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     light = np.abs(normals @ (_LIGHT / np.linalg.norm(_LIGHT)))
     return 1 - (1 - colors) * (0.55 + 0.45 * (1 - light))[:, None]
@@ -197,7 +185,7 @@ def _draw_plane(axes: Any, art: Any, plane: Plane, low: np.ndarray, high: np.nda
     z = plane.height - (along * x + across * y) / up
     if z.max() >= low[2] and z.min() <= high[2]:
         sheet = art.Poly3DCollection([np.column_stack([x, y, z])], zorder=1, linestyles="--")
-        sheet.set(facecolor=(*rgb(_SAND), 0.3), edgecolor="#9A7B45", linewidth=0.9)
+        sheet.set(facecolor=(*outlines.rgb(_SAND), 0.3), edgecolor="#9A7B45", linewidth=0.9)
         axes.add_collection3d(sheet)
 
 
@@ -264,9 +252,9 @@ def add_elements(
     _add_bodies(scene, shown)
     thickness = 0.03 * shown.sizes
     for tail, tip, width in zip(tails, tips, thickness, strict=False):
-        add_arrow(scene, tail, tip, float(width), rgb(INK))
+        add_arrow(scene, tail, tip, float(width), outlines.rgb(outlines.INK))
     for tail, tip in zip(starts, ends, strict=True):
-        add_arrow(scene, tail, tip, 0.006 * shown.reach, rgb(RED))
+        add_arrow(scene, tail, tip, 0.006 * shown.reach, outlines.rgb(outlines.RED))
     return scene.ngeom - before
 
 
@@ -275,7 +263,7 @@ def _add_bodies(scene: mujoco.MjvScene, shown: Shown) -> None:
     kinds, sizes, frames = place(shown.elements)
     frames = shown.turn @ frames
     alpha = 0.5 if shown.kind == "blobs" else 1.0
-    rgba = with_alpha(shown.colors, alpha).astype(np.float32)
+    rgba = outlines.with_alpha(shown.colors, alpha).astype(np.float32)
     for k, middle in enumerate(shown.middles):
         geom = scene.geoms[scene.ngeom]
         mujoco.mjv_initGeom(geom, kinds[k], sizes[k], middle, frames[k].ravel(), rgba[k])
@@ -292,8 +280,8 @@ def facet_bodies(facets: np.ndarray) -> _Bodies:
     """Return slabs, slanted like the edges; discs for facets without edges."""
     thin = 0.01 * np.sqrt(facets["area"])
     sizes = np.column_stack([np.sqrt(facets["area"] / math.pi), thin, thin])
-    frames = frames_of(facets["normal"])
-    wide, edges = half_edges(facets)
+    frames = outlines.frames_of(facets["normal"])
+    wide, edges = outlines.half_edges(facets)
     # A scene accepts axes that are not orthogonal: the slab is sheared.
     lengths = np.linalg.norm(edges, axis=2)
     axes = np.concatenate([edges / lengths[..., None], facets["normal"][wide, None]], axis=1)
@@ -306,7 +294,7 @@ def facet_bodies(facets: np.ndarray) -> _Bodies:
 def _rod_bodies(rods: np.ndarray) -> _Bodies:
     radius = rods["width"] / 2
     sizes = np.column_stack([radius, GAP * rods["half_length"], radius])
-    return [mujoco.mjtGeom.mjGEOM_CYLINDER] * len(rods), sizes, frames_of(rods["axis"])
+    return [mujoco.mjtGeom.mjGEOM_CYLINDER] * len(rods), sizes, outlines.frames_of(rods["axis"])
 
 
 def _blob_bodies(blobs: np.ndarray) -> _Bodies:

@@ -86,7 +86,7 @@ def draw_study(
 
 def _draw_line(axes: Any, columns: Mapping[str, Sequence[Any]], x: Axis, y: Axis) -> None:
     at, names = _places(columns[x.column])
-    values = _numbers(columns[y.column]) * y.scale
+    values = np.array(columns[y.column], float) * y.scale
     if names is None:
         order = np.argsort(at, kind="stable")
         axes.plot(at[order], values[order], color=_BLUE, marker="o", markersize=3.5)
@@ -103,7 +103,7 @@ def _draw_over(
 ) -> Any:
     """Draw colors over the plane of two fields; return the mappable for a color bar."""
     (x, x_names), (y, y_names) = (_places(columns[one.column]) for one in inputs)
-    values = _numbers(columns[outcome.column]) * outcome.scale
+    values = np.array(columns[outcome.column], float) * outcome.scale
     rows, across = np.unique(y), np.unique(x)
     cells = np.full((len(rows), len(across)), np.nan)
     cells[np.searchsorted(rows, y), np.searchsorted(across, x)] = values
@@ -118,10 +118,6 @@ def _draw_over(
 def _places(values: Sequence[Any]) -> tuple[np.ndarray, list[str] | None]:
     """Return positions of values on an axis; for names their order, and the names."""
     if not any(isinstance(value, str) for value in values):
-        return _numbers(values), None
+        return np.array(values, float), None
     names = list(dict.fromkeys(str(value) for value in values))
     return np.array([float(names.index(str(value))) for value in values]), names
-
-
-def _numbers(values: Sequence[Any]) -> np.ndarray:
-    return np.array([np.nan if value is None else float(value) for value in values])

@@ -30,7 +30,6 @@ from mjgranular.relief.memory import as_memory
 from mjgranular.render import Tracks
 from mjgranular.render.material import moving_geoms
 from mjgranular.render.scenery import add_cut_scenery, place_sun
-from mjgranular.sand import SandSpec
 from mjgranular.sand.prepare import fitted
 from mjgranular.surface import Surface
 
@@ -103,23 +102,24 @@ def check_camera(model: mujoco.MjModel, camera: str) -> None:
         raise UnknownNameError("camera", camera, known)
 
 
-def frames_of_run(
+def frames_of_impact(
     film: Film,
-    link: Link,
+    impact: Impact,
     trajectory: Trajectory,
-    *,
     stop: float | None,
     prints: Tracks | None = None,
-    sand: SandSpec | None = None,
 ) -> Frames:
-    """Return the pictures of a run of a link, slowed down up to the stop, and after it."""
+    """Return the pictures of an impact, slowed down up to the stop, and after it.
+
+    `stop` is the time from release to the stop [s].
+    """
+    link, sand = impact.link, impact.described
     film.check(link)
     spec = link.spec()
-    shown = None if prints is None or sand is None else as_memory(sand.memory)
-    add_cut_scenery(spec, link.reach, shown)
+    add_cut_scenery(spec, link.reach, None if prints is None else as_memory(sand.memory))
     model = spec.compile()
     place_sun(model)
-    memory = None if sand is None else as_memory(fitted(model, sand).memory)
+    memory = as_memory(fitted(model, sand).memory)
     covered = None if prints is None or memory is None else (prints, memory)
     run, zero = trajectory, np.zeros(len(trajectory))
     # In front of the link, so that the link does not hide the arrow.
@@ -150,14 +150,6 @@ def frames_of_model(
     times = _times(film, begin, end, max(film.seconds, end - begin))
     covered = None if prints is None or memory is None else (prints, memory)
     return len(times), _render(film, model, motion, times, view, surface, covered)
-
-
-def frames_of_impact(
-    film: Film, impact: Impact, trajectory: Trajectory, stop: float | None, prints: Tracks | None
-) -> Frames:
-    """Return the pictures of an impact, with `stop` the time from release to the stop [s]."""
-    sand = impact.described
-    return frames_of_run(film, impact.link, trajectory, stop=stop, prints=prints, sand=sand)
 
 
 def frames_of_drop(

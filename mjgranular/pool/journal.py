@@ -5,7 +5,7 @@ import os
 import tempfile
 import zlib
 from array import array
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any
@@ -74,8 +74,8 @@ class Journal:
         except OSError as error:
             raise self._as_output_error(error) from None
 
-    def keep(self, results: Sequence[tuple[int, Mapping[str, Any]]]) -> None:
-        """Add results, all in one write."""
+    def keep(self, index: int, row: Mapping[str, Any]) -> None:
+        """Add the result of a task."""
         if self._file is None:
             self.begin()
         file = self._file
@@ -83,13 +83,12 @@ class Journal:
         try:
             if file.seek(0, os.SEEK_END) == 0:
                 file.write(_line(self._asked))
-            for index, row in results:
-                self._places[index] = file.tell()
-                file.write(_line(_entry(index, row)))
+            self._places[index] = file.tell()
+            file.write(_line(_entry(index, row)))
             file.flush()
         except OSError as error:
             raise self._as_output_error(error) from None
-        self.count += len(results)
+        self.count += 1
 
     def recount(self) -> None:
         """Count what is in the file: an interrupt may have come between writing and counting."""

@@ -135,7 +135,7 @@ def _follow(
                     mapped.failures.append(Failure(index, reason, lost=True))
                 continue
             if answer.error is None:
-                journal.keep([(index, answer.result)])
+                journal.keep(index, answer.result)
             else:
                 mapped.failures.append(Failure(index, answer.error))
             if progress is not None:

@@ -12,16 +12,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from mjgranular.errors import (
-    FloorWarning,
-    GranularWarning,
-    MissedStepWarning,
-    PointsWarning,
-    RangeWarning,
-    UnfeltWarning,
-    listed,
-    warn_user,
-)
+from mjgranular import errors
+from mjgranular.errors import listed, warn_user
 from mjgranular.law import DepthVelocityLaw, DistributedLinkLaw, Law, LinkLaw
 from mjgranular.law.rft import RftLaw
 from mjgranular.medium.medium import DENSITIES
@@ -411,20 +403,20 @@ def buried_geoms(case: Case) -> Iterator[str]:
 
 
 CHECKS = (
-    (touch_sensors, UnfeltWarning),
-    (ignored_parts, UnfeltWarning),
-    (floors, FloorWarning),
-    (density, RangeWarning),
-    (timestep, RangeWarning),
-    (gravity, RangeWarning),
-    (slope, RangeWarning),
-    (start, RangeWarning),
-    (sizes, RangeWarning),
-    (buried_geoms, GranularWarning),
-    (points, PointsWarning),
+    (touch_sensors, errors.UnfeltWarning),
+    (ignored_parts, errors.UnfeltWarning),
+    (floors, errors.FloorWarning),
+    (density, errors.RangeWarning),
+    (timestep, errors.RangeWarning),
+    (gravity, errors.RangeWarning),
+    (slope, errors.RangeWarning),
+    (start, errors.RangeWarning),
+    (sizes, errors.RangeWarning),
+    (buried_geoms, errors.GranularWarning),
+    (points, errors.PointsWarning),
 )
 """Checks of a case, made once."""
 
-CHECKS_OF_TIME = ((missed_steps, MissedStepWarning),)
-CHECKS_OF_CONTACTS = ((contacts, FloorWarning),)
-CHECKS_OF_DEPTH = ((depth, RangeWarning),)
+CHECKS_OF_TIME = ((missed_steps, errors.MissedStepWarning),)
+CHECKS_OF_CONTACTS = ((contacts, errors.FloorWarning),)
+CHECKS_OF_DEPTH = ((depth, errors.RangeWarning),)

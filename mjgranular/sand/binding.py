@@ -18,8 +18,7 @@ from mjgranular.kernel.options import options_address
 from mjgranular.kernel.records import BODY_DTYPE, CONTACT_DTYPE
 from mjgranular.sand.guard import Snapshot, add_again, withdraw
 from mjgranular.sand.prepare import PreparedSand
-from mjgranular.scheme.scheme import Workspace
-from mjgranular.scheme.status import nanoseconds
+from mjgranular.scheme.scheme import Workspace, nanoseconds
 from mjgranular.shape.select import body_name, last_dof
 
 
@@ -68,7 +67,7 @@ def bind(
     bodies["last_wrench"] = np.nan  # NaN equals nothing: the first rows found are the user's
     contacts = np.zeros(len(elements), CONTACT_DTYPE)
     snapshot = Snapshot(model, data)
-    workspace = scheme.workspace(model, data, elements, sand.kernel, within=within)
+    workspace = scheme.workspace(model, data, sand.kernel, len(sand.packed), within)
     scene = sand.scene
     if state is None:
         state = np.zeros(sand.surface.state_size)
@@ -77,23 +76,10 @@ def bind(
         scene["surface"]["state"] = state.ctypes.data
     numbers = (model.nbody, model.nv, len(elements), len(bodies))
     arrays = (
-        model.dof_parentid,
-        data.xpos,
-        data.xmat,
-        data.xipos,
-        data.subtree_com,
-        data.cvel,
-        data.cdof,
-        data.qacc_warmstart,
-        data.xfrc_applied,
-        data.warning.number,
-        sand.packed,
-        bodies,
-        scene,
-        contacts,
-        snapshot.record,
-        workspace.record,
-    )
+        model.dof_parentid, data.xpos, data.xmat, data.xipos, data.subtree_com, data.cvel,
+        data.cdof, data.qacc_warmstart, data.xfrc_applied, data.warning.number,
+        sand.packed, bodies, scene, contacts, snapshot.record, workspace.record,
+    )  # fmt: skip
     memory = (state.ctypes.data if state.size else 0, state.size, sand.update)
     surface = scene["surface"].ctypes.data - scene.ctypes.data
     table = np.array(  # in the order of `kernel.memory`
@@ -136,8 +122,7 @@ class SandRegistry:
 
     def __init__(self) -> None:
         # The bodies of each Sand, and whether it is shared.
-        self._members: weakref.WeakKeyDictionary[Any, tuple[set[int], bool]]
-        self._members = weakref.WeakKeyDictionary()
+        self._members = weakref.WeakKeyDictionary[Any, tuple[set[int], bool]]()
         self._shares: list[Binding] = []  # in the order they were added
 
     @property

@@ -9,27 +9,14 @@ import math
 import mujoco
 import numpy as np
 
+from mjgranular.kernel import memory
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.engine import get_state
 from mjgranular.kernel.intrinsics import call_step
-from mjgranular.kernel.memory import (
-    OFF,
-    SNAPSHOT,
-    STATE,
-    STATE_SIZE,
-    UPDATE,
-    floats,
-    records,
-    table_at,
-)
+from mjgranular.kernel.memory import floats, records, table_at
 from mjgranular.relief.grid import TIME
-from mjgranular.scheme.status import BAD_STATE, FINE
-from mjgranular.scheme.wrenches import (
-    add_wrenches,
-    is_bad,
-    take_back_wrenches,
-    withdraw_wrenches,
-)
+from mjgranular.scheme import wrenches
+from mjgranular.scheme.scheme import BAD_STATE, FINE
 
 _RECORD_DTYPE = np.dtype([("model", np.int64), ("data", np.int64), ("state", np.int64)])
 _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
@@ -40,7 +27,7 @@ _records = records(_RECORD_DTYPE)
 @compiled
 def save_snapshot(table):
     """Copy the state of a simulation to its snapshot."""
-    record = _records(table[SNAPSHOT], 1)[0]
+    record = _records(table[memory.SNAPSHOT], 1)[0]
     get_state(record.model, record.data, record.state, _STATE)
 
 
@@ -73,8 +60,10 @@ class Snapshot:
 @compiled
 def forget_after_reset(table):
     """Clear a surface's memory if time has gone back: the simulation starts over."""
-    state = floats(table[STATE], table[STATE_SIZE])
-    time = floats(_records(table[SNAPSHOT], 1)[0].state, 1)[0]  # the first number of what is stored
+    state = floats(table[memory.STATE], table[memory.STATE_SIZE])
+    time = floats(_records(table[memory.SNAPSHOT], 1)[0].state, 1)[
+        0
+    ]  # the first number of what is stored
     if time < state[TIME]:
         for k in range(len(state)):
             state[k] = 0.0
@@ -88,37 +77,37 @@ def guarded_step(program, address, lead):
     A surface with memory is updated after it. Return what the program returns, or `BAD_STATE`.
     """
     table = table_at(address)
-    table[OFF] = is_bad(table)
-    if table[OFF] != 0:
+    table[memory.OFF] = wrenches.is_bad(table)
+    if table[memory.OFF] != 0:
         return BAD_STATE
     save_snapshot(table)
-    if table[UPDATE] != 0:
+    if table[memory.UPDATE] != 0:
         forget_after_reset(table)
     failed = call_step(program, address, lead)
-    table[OFF] = failed != FINE
-    if table[OFF] == 0 and table[UPDATE] != 0:
-        call_step(table[UPDATE], address, 0.0)
+    table[memory.OFF] = failed != FINE
+    if table[memory.OFF] == 0 and table[memory.UPDATE] != 0:
+        call_step(table[memory.UPDATE], address, 0.0)
     return failed
 
 
 @compiled
 def finish_step(address):
     """Remove the wrenches after `mj_step2`; return `FINE`, or `BAD_STATE` if the state is bad."""
-    take_back_wrenches(address)
     table = table_at(address)
-    table[OFF] = 1
-    return BAD_STATE if is_bad(table) else FINE
+    wrenches.withdraw_wrenches(table)
+    table[memory.OFF] = 1
+    return BAD_STATE if wrenches.is_bad(table) else FINE
 
 
 @compiled
 def withdraw(address):
     """Remove what is left of the wrenches that a Sand wrote; return `FINE`."""
-    withdraw_wrenches(table_at(address))
+    wrenches.withdraw_wrenches(table_at(address))
     return FINE
 
 
 @compiled
 def add_again(address):
     """Add the wrenches that a Sand wrote last, after `withdraw`; return `FINE`."""
-    add_wrenches(table_at(address))
+    wrenches.add_wrenches(table_at(address))
     return FINE

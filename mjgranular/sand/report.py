@@ -11,6 +11,7 @@ from mjgranular.errors import UnknownNameError
 from mjgranular.law.validity import Finding, Measure, Standing, found_at
 from mjgranular.sand.binding import Binding
 from mjgranular.sand.prepare import PreparedSand
+from mjgranular.scheme.workspace import Solver as Solver
 from mjgranular.shape.sizes import name_of
 
 _SHOWN = 3  # bodies in a report's `repr`
@@ -87,28 +88,6 @@ class BodyReport:
 
 
 @dataclass(frozen=True)
-class Solver:
-    """Counters of the implicit scheme since the sand met this `MjData` (`scheme.workspace`).
-
-    Attributes:
-        steps: number of steps in which an element was in the sand.
-        evaluations: evaluations of all forces, summed over these steps.
-        most: the largest number of evaluations in one step.
-        unfinished: steps in which the law's forces leave more than a millionth of the momentum
-            scale unbalanced; they use a damping near these forces, which dissipates energy.
-        residual: unbalanced momentum of the last step, in parts of the momentum scale.
-        worst: largest residual of all steps.
-    """
-
-    steps: int
-    evaluations: int
-    most: int
-    unfinished: int
-    residual: float
-    worst: float
-
-
-@dataclass(frozen=True)
 class Names:
     """Names of a model's geoms and bodies by their ids; numbers for those without one."""
 
@@ -152,7 +131,7 @@ class Report:
     def __repr__(self) -> str:
         """Return each body's depth and force."""
         bodies = [
-            f"{body.body} {1e3 * body.depth:.4g} mm deep, {_size(body.force):.4g} N"
+            f"{body.body} {1e3 * body.depth:.4g} mm deep, {np.linalg.norm(body.force):.4g} N"
             for body in self.bodies[:_SHOWN]
         ]
         if len(self.bodies) > _SHOWN:
@@ -282,7 +261,3 @@ def _measures(
             number = speed / width * grain / np.sqrt(gravity * np.maximum(depth, grain))
             measures["inertial_number"] = float(number.max())
     return measures
-
-
-def _size(vector: np.ndarray) -> float:
-    return float(np.linalg.norm(vector))

@@ -22,13 +22,12 @@ from mjgranular.relief.relief import Relief, place_in_plane
 from mjgranular.sand import advice
 from mjgranular.sand.binding import Binding, bind, find_sand_of_the_model, registry_of
 from mjgranular.sand.changes import Original
-from mjgranular.sand.chosen import geoms_in_sand
 from mjgranular.sand.guard import finish_step, guarded_step
-from mjgranular.sand.prepare import prepare
+from mjgranular.sand.prepare import geoms_in_sand, prepare
 from mjgranular.sand.report import Names, Report, Solver, describe
 from mjgranular.sand.spec import SandFields, SandSpec, combined
 from mjgranular.scheme import Scheme
-from mjgranular.scheme.status import FINE, REFUSED
+from mjgranular.scheme.scheme import FINE, REFUSED
 from mjgranular.shape.select import body_name
 from mjgranular.surface import Surface
 
@@ -105,16 +104,13 @@ class Sand:
         self._lead = sand.scheme.lead
         self._shared = shared
         self._options = model.opt  # its `timestep` may change between steps
-        self._bindings: weakref.WeakKeyDictionary[mujoco.MjData, Binding] = (
-            weakref.WeakKeyDictionary()
-        )
+        self._bindings = weakref.WeakKeyDictionary[mujoco.MjData, Binding]()
         self._slope, self._pull = sand.surface.tilt(model), model.opt.gravity.copy()
         self._names = Names.of(model, sand.elements)
         self._probes: list[tuple[mujoco.MjData, Binding]] = []
         # The last data and the address of its table: all that a loop over one simulation needs.
         self._recent = _NOBODY
-        places = sand.surface.geoms(model)
-        self._original = Original(model, sand.geoms, places)
+        self._original = Original(model, sand.geoms, sand.surface.geoms(model))
         self._last_timestep = 0.0  # of the last step of any simulation [s]
 
     def __repr__(self) -> str:

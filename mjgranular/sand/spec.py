@@ -30,7 +30,7 @@ class SandSpec:
             ("rft3d scale=1.3"), or None for the medium's default.
         surface: where it is, also as a string ("plane height=0.1"); None for the plane z = 0.
         scheme: the time stepping scheme: a scheme or its name, followed by options. "auto" takes
-            `Implicit`, but `Explicit` for fine time steps if the law allows (`scheme.auto`).
+            `Implicit`, but `Explicit` for fine time steps if the law allows (`scheme.choice`).
         bodies: names or numbers of the bodies that meet the sand, with all their collision geoms;
             or "all".
         geoms: names or numbers of the geoms that meet the sand; or "all".

@@ -16,8 +16,8 @@ from functools import partial
 
 from mjgranular.kernel.compiled import compiled
 from mjgranular.scheme.dense import add_scaled, copy, inner, solve
-from mjgranular.scheme.evaluation import DAMP, evaluate, follow_all
-from mjgranular.scheme.forces import FRESH
+from mjgranular.scheme.evaluation import evaluate, follow_all
+from mjgranular.scheme.forces import DAMP, FRESH
 
 FURTHEST = 3.0
 """How far the next velocity may lie beyond the one found, as a multiple of the change between the

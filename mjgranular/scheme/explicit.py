@@ -26,8 +26,7 @@ from mjgranular.law.kernel import LawKernel
 from mjgranular.scheme.forces import add_total, force_kernel
 from mjgranular.scheme.layout import ARM, FORCE, LED, VELOCITY, WEIGHT, tile_size
 from mjgranular.scheme.sampling import sampling_kernel
-from mjgranular.scheme.scheme import Scheme, schemes
-from mjgranular.scheme.status import FINE, check_options
+from mjgranular.scheme.scheme import FINE, Scheme, check_options
 from mjgranular.scheme.wrenches import add_wrenches, find_bad_wrench, pose_at
 
 
@@ -73,9 +72,6 @@ class Explicit(Scheme):
                 "law='rft3d'"
             )
         return explicit_program(replace(kernel, added=None), scene)
-
-
-schemes.add(Explicit.name, Explicit)
 
 
 @cache

@@ -8,30 +8,23 @@ import numpy as np
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.fields import column, rows
 from mjgranular.kernel.lanes import total_of
-from mjgranular.kernel.memory import held
-from mjgranular.kernel.motion import velocity_at
+from mjgranular.kernel.memory import SCENE, WORKSPACE, held, records, table_at
+from mjgranular.kernel.motion import read_motion, velocity_at
 from mjgranular.kernel.vector import Matrix, Vector, cross, diagonal, dot, norm, vector
 from mjgranular.law.kernel import LawKernel
 from mjgranular.law.multiplier import multiplier_of
 from mjgranular.law.secant import secant
+from mjgranular.scheme import layout
 from mjgranular.scheme.added import added_kernel, kink_kernel
-from mjgranular.scheme.layout import (
-    ARM,
-    FORCE,
-    LED,
-    MISMATCH,
-    MULTIPLIER,
-    SAMPLE,
-    SLOPE,
-    TURN,
-    VELOCITY,
-    WEIGHT,
-)
+from mjgranular.scheme.workspace import workspace_at
+from mjgranular.scheme.wrenches import gravity_of
 
 # Not literals: numba would compile a function for each of them.
 FRESH, NEXT, SAME, LAST = (np.int64(n) for n in range(4))
 """Origins of multipliers: the velocity itself, a Newton step to it, the stored ones, the last
 step."""
+RESPOND, DAMP, FOLLOW, SUM = (np.int64(n) for n in range(4))
+"""Tasks of a law's program (`forces_program`)."""
 
 # In effect no softness [m/s], except at zero speed. Chosen: far below any motion, far above the
 # square root of the smallest number.
@@ -44,11 +37,6 @@ class Response(NamedTuple):
     force: Vector  # [N]
     slope: Matrix  # minus its derivative by the velocity [N s/m]
     mismatch: float  # square of the difference between this multiplier and the velocity's
-
-
-@partial(compiled, inline=True)
-def _no_kink(tile, lane, by_v, by_force):
-    return False
 
 
 def move_kernel(kernel: LawKernel) -> Any:
@@ -65,17 +53,19 @@ def move_kernel(kernel: LawKernel) -> Any:
     def move(tile, motion, multipliers, eps, loose):
         if multipliers == NEXT:
             for lane in range(lanes):
-                before = read(tile, VELOCITY * lanes + lane)
-                p = read(tile, MULTIPLIER * lanes + lane)
-                sample = read_sample(tile, SAMPLE * lanes + lane)
-                v = velocity_at(motion, read(tile, ARM * lanes + lane))
+                before = read(tile, layout.VELOCITY * lanes + lane)
+                p = read(tile, layout.MULTIPLIER * lanes + lane)
+                sample = read_sample(tile, layout.SAMPLE * lanes + lane)
+                v = velocity_at(motion, read(tile, layout.ARM * lanes + lane))
                 p = update(sample, before, p, v - before, eps)
-                write(tile, MULTIPLIER * lanes + lane, p)
-        write_all(tile, VELOCITY * lanes, velocity_at(motion, read_all(tile, ARM * lanes)))
+                write(tile, layout.MULTIPLIER * lanes + lane, p)
+        write_all(
+            tile, layout.VELOCITY * lanes, velocity_at(motion, read_all(tile, layout.ARM * lanes))
+        )
         if multipliers == FRESH:
             for lane in range(lanes):
-                p = multiplier_of(read(tile, VELOCITY * lanes + lane), loose)
-                write(tile, MULTIPLIER * lanes + lane, p)
+                p = multiplier_of(read(tile, layout.VELOCITY * lanes + lane), loose)
+                write(tile, layout.MULTIPLIER * lanes + lane, p)
 
     return move
 
@@ -101,14 +91,14 @@ def linearized(kernel: LawKernel, respond: Any) -> Any:
 
 @cache
 def unsoftened(kernel: LawKernel, respond: Any) -> Any:
-    """Make a kernel `force_of(sample, law, g, v, led)`: the force of the law without softening.
+    """Make a kernel `force_of(sample, law, g, v, led, eps)`: the law's force without softening.
 
     Static resistance takes the direction of the velocity `v`, drag the velocity `led`.
     """
     own = kernel.multiplier.own
 
     @partial(compiled, inline=True)
-    def force_of(sample, law, g, v, led):
+    def force_of(sample, law, g, v, led, eps):
         static, _, drag, _ = respond(sample, law, g, led, own(sample, v, _HARD), 0.0)
         return static + drag
 
@@ -121,24 +111,43 @@ def no_response(sample, law, g, v, p, eps):
     return vector(0.0, 0.0, 0.0), diagonal(0.0), vector(0.0, 0.0, 0.0), diagonal(0.0)
 
 
-def by_complexity(kernel: LawKernel, in_lanes: Any, *, soft: bool) -> Any:
-    """Make a kernel `respond(tile, law, g, eps)` that picks the fastest variant valid in all lanes.
+def in_tiles(kernel: LawKernel, of_one: Any, kind: Any, second: int) -> Any:
+    """Make a kernel `respond(tile, law, g, eps)`, by the fastest variant valid in all lanes.
 
-    `in_lanes` makes such a kernel from a law's `respond`; `soft` says whether rest is softened.
+    `of_one` makes the kernel of one element, with results of a `kind`, from a law's `respond`. Its
+    arguments are the velocity and what is in the row `second`: the multiplier, or without softening
+    the velocity for drag.
     """
-    respond_all = in_lanes(kernel.respond)
-    if kernel.complexity is None:
-        return respond_all
-    lanes, complexity = kernel.lanes, kernel.complexity
+    lanes, complexity, soft = kernel.lanes, kernel.complexity, second == layout.MULTIPLIER
     read, read_sample = column(Vector, lanes).read, column(kernel.samples, lanes).read
+    write = column(kind, lanes).write
+    direction = layout.MULTIPLIER if soft else layout.VELOCITY
+
+    def in_lanes(variant: Any) -> Any:
+        respond_one = of_one(kernel, variant)
+
+        @compiled
+        def respond_all(tile, record, g, eps):
+            law = held(record)
+            for lane in range(lanes):
+                sample = read_sample(tile, layout.SAMPLE * lanes + lane)
+                v = read(tile, layout.VELOCITY * lanes + lane)
+                p = read(tile, second * lanes + lane)
+                result = respond_one(sample, law, g, v, p, eps)
+                write(tile, layout.FORCE * lanes + lane, result)
+
+        return respond_all
+
+    respond_all = in_lanes(kernel.respond)
+    if complexity is None:
+        return respond_all
     respond_none, respond_simple = in_lanes(no_response), in_lanes(kernel.respond_simple)
-    direction = MULTIPLIER if soft else VELOCITY
 
     @compiled
     def respond(tile, law, g, eps):
         most = 0
         for lane in range(lanes):
-            sample = read_sample(tile, SAMPLE * lanes + lane)
+            sample = read_sample(tile, layout.SAMPLE * lanes + lane)
             p = read(tile, direction * lanes + lane)
             most = max(most, complexity(sample, law, p, eps if soft else 0.0))
         if most == 0:
@@ -149,6 +158,17 @@ def by_complexity(kernel: LawKernel, in_lanes: Any, *, soft: bool) -> Any:
             respond_all(tile, law, g, eps)
 
     return respond
+
+
+@cache
+def resistance_kernel(kernel: LawKernel) -> Any:
+    """Make a kernel `resist(tile, law, g, eps)`: `respond` without added mass."""
+    return in_tiles(kernel, linearized, Response, layout.MULTIPLIER)
+
+
+def force_kernel(kernel: LawKernel) -> Any:
+    """Make the explicit scheme's kernel `force(tile, law, g, eps)`, with `eps` 0."""
+    return in_tiles(kernel, unsoftened, Vector, layout.LED)
 
 
 def damp_kernel(kernel: LawKernel) -> Any:
@@ -164,41 +184,17 @@ def damp_kernel(kernel: LawKernel) -> Any:
     def damp(tile, record, g, eps):
         resist(tile, record, g, eps)
         for lane in range(lanes):
-            v = read(tile, VELOCITY * lanes + lane)
+            v = read(tile, layout.VELOCITY * lanes + lane)
             speed = norm(v)
             # At zero velocity there is no secant; softened rest has its derivative there.
             moves = speed > _HARD
             inverse = 1.0 / speed if moves else 0.0
-            force = inverse * read(tile, FORCE * lanes + lane)
-            slope = read_slope(tile, SLOPE * lanes + lane)
+            force = inverse * read(tile, layout.FORCE * lanes + lane)
+            slope = read_slope(tile, layout.SLOPE * lanes + lane)
             slope = secant(force, slope, inverse * v) if moves else slope
-            write_slope(tile, SLOPE * lanes + lane, slope)
+            write_slope(tile, layout.SLOPE * lanes + lane, slope)
 
     return with_momentum(kernel, damp)
-
-
-@cache
-def resistance_kernel(kernel: LawKernel) -> Any:
-    """Make a kernel `resist(tile, law, g, eps)`: `respond` without added mass."""
-    lanes = kernel.lanes
-    read, read_sample = column(Vector, lanes).read, column(kernel.samples, lanes).read
-    write = column(Response, lanes).write
-
-    def in_lanes(respond: Any) -> Any:
-        linearize = linearized(kernel, respond)
-
-        @compiled
-        def respond_all(tile, record, g, eps):
-            law = held(record)
-            for lane in range(lanes):
-                sample = read_sample(tile, SAMPLE * lanes + lane)
-                v = read(tile, VELOCITY * lanes + lane)
-                p = read(tile, MULTIPLIER * lanes + lane)
-                write(tile, FORCE * lanes + lane, linearize(sample, law, g, v, p, eps))
-
-        return respond_all
-
-    return by_complexity(kernel, in_lanes, soft=True)
 
 
 def with_momentum(kernel: LawKernel, respond: Any) -> Any:
@@ -213,31 +209,6 @@ def with_momentum(kernel: LawKernel, respond: Any) -> Any:
         add_momentum(tile)
 
     return respond_and_add
-
-
-def force_kernel(kernel: LawKernel) -> Any:
-    """Make the explicit scheme's kernel `force(tile, law, g, eps)`, with `eps` 0.
-
-    Static resistance takes the direction of the present velocity, drag the velocity ahead.
-    """
-    lanes = kernel.lanes
-    vectors, read_sample = column(Vector, lanes), column(kernel.samples, lanes).read
-    read, write = vectors.read, vectors.write
-
-    def in_lanes(respond: Any) -> Any:
-        force_of = unsoftened(kernel, respond)
-
-        @compiled
-        def respond_all(tile, record, g, eps):
-            law = held(record)
-            for lane in range(lanes):
-                sample = read_sample(tile, SAMPLE * lanes + lane)
-                v, led = read(tile, VELOCITY * lanes + lane), read(tile, LED * lanes + lane)
-                write(tile, FORCE * lanes + lane, force_of(sample, law, g, v, led))
-
-        return respond_all
-
-    return by_complexity(kernel, in_lanes, soft=False)
 
 
 @partial(compiled, inline=True)
@@ -259,12 +230,12 @@ def add_kernel(lanes: int) -> Any:
 
     @compiled
     def add(tile, wrench, stiffness):
-        weight, arm = read_weight(tile, WEIGHT * lanes), read(tile, ARM * lanes)
-        force = weight * read(tile, FORCE * lanes)
+        weight, arm = read_weight(tile, layout.WEIGHT * lanes), read(tile, layout.ARM * lanes)
+        force = weight * read(tile, layout.FORCE * lanes)
         add_total(wrench, 0, cross(arm, force))
         add_total(wrench, 3, force)
         # K on the point becomes B^T K B on the body, with B = (-[r]x, 1): r x K above K.
-        below = weight * read_slope(tile, SLOPE * lanes)
+        below = weight * read_slope(tile, layout.SLOPE * lanes)
         above = cross(arm, below)
         add_row(stiffness, 0, arm, above.x)
         add_row(stiffness, 6, arm, above.y)
@@ -274,7 +245,7 @@ def add_kernel(lanes: int) -> Any:
         add_row(stiffness, 30, arm, below.z)
         mismatch = 0.0
         for lane in range(lanes):
-            mismatch = max(mismatch, tile[MISMATCH * lanes + lane])
+            mismatch = max(mismatch, tile[layout.MISMATCH * lanes + lane])
         return mismatch
 
     return add
@@ -300,28 +271,77 @@ def follow_kernel(kernel: LawKernel) -> Any:
     read_weight = all_weights.read
     read, read_sample = column(Vector, lanes).read, column(kernel.samples, lanes).read
     read_slope = column(Matrix, lanes).read
-    is_near_kink = _no_kink if kernel.added is None else kink_kernel(kernel)
+    is_near_kink = None if kernel.added is None else kink_kernel(kernel)
 
     @compiled
     def follow(tile, motion, wrench, eps, stores):
-        arm = read_all(tile, ARM * lanes)
-        change = velocity_at(motion, arm) - read_all(tile, VELOCITY * lanes)
-        force = read_all(tile, FORCE * lanes) - read_slopes(tile, SLOPE * lanes) @ change
+        arm = read_all(tile, layout.ARM * lanes)
+        change = velocity_at(motion, arm) - read_all(tile, layout.VELOCITY * lanes)
+        force = (
+            read_all(tile, layout.FORCE * lanes) - read_slopes(tile, layout.SLOPE * lanes) @ change
+        )
         if stores:
-            write_all(tile, FORCE * lanes, force)
-        force = read_weight(tile, WEIGHT * lanes) * force
+            write_all(tile, layout.FORCE * lanes, force)
+        force = read_weight(tile, layout.WEIGHT * lanes) * force
         add_total(wrench, 0, cross(arm, force))
         add_total(wrench, 3, force)
         for lane in range(lanes):
-            v = read(tile, VELOCITY * lanes + lane)
-            change_here = velocity_at(motion, read(tile, ARM * lanes + lane)) - v
-            sample = read_sample(tile, SAMPLE * lanes + lane)
-            slope = read_slope(tile, SLOPE * lanes + lane)
-            is_near = is_near_kink(tile, lane, change_here, slope @ change_here)
-            tile[TURN * lanes + lane] = 1.0 if is_near else turn(sample, v, change_here, eps)
+            v = read(tile, layout.VELOCITY * lanes + lane)
+            change_here = velocity_at(motion, read(tile, layout.ARM * lanes + lane)) - v
+            sample = read_sample(tile, layout.SAMPLE * lanes + lane)
+            slope = read_slope(tile, layout.SLOPE * lanes + lane)
+            is_near = False
+            if is_near_kink is not None:
+                is_near = is_near_kink(tile, lane, change_here, slope @ change_here)
+            tile[layout.TURN * lanes + lane] = 1.0 if is_near else turn(sample, v, change_here, eps)
         most = 0.0
         for lane in range(lanes):
-            most = max(most, tile[TURN * lanes + lane])
+            most = max(most, tile[layout.TURN * lanes + lane])
         return most
 
     return follow
+
+
+@cache
+def forces_program(kernel: LawKernel, law_dtype: np.dtype) -> Any:
+    """Make the kernel `forces(address, work, task, eps, update, loose)`: a law's loops over tiles.
+
+    The arguments are the address of the sand's table, that of the workspace that has the motions of
+    the bodies and sums up forces, one of the tasks above, and those of `evaluate`. `SUM` adds the
+    forces in the tiles. It returns the greatest mismatch, for `FOLLOW` the greatest turn
+    (`law.kernel`).
+    """
+    move, damp = move_kernel(kernel), damp_kernel(kernel)
+    respond = with_momentum(kernel, resistance_kernel(kernel))
+    add, follow = add_kernel(kernel.lanes), follow_kernel(kernel)
+    laws = records(law_dtype)  # the law is the first field of a scene
+
+    @compiled
+    def forces(address, work, task, eps, update, loose):
+        table = table_at(address)
+        own, w = workspace_at(table[WORKSPACE]), workspace_at(work)
+        most = 0.0
+        if task == FOLLOW:
+            for i in range(own.count):
+                body, stores = own.heads[i].body, update != LAST
+                turn = follow(
+                    own.tiles[i], read_motion(w.motion[body], 0), w.wrench[body], eps, stores
+                )
+                most = max(most, turn)
+        elif task == SUM:
+            for i in range(own.count):
+                body = own.heads[i].body
+                add(own.tiles[i], w.wrench[body], w.stiffness[body])
+        else:
+            law, g = laws(table[SCENE], 1)[0], gravity_of(table)
+            for i in range(own.count):
+                tile, body = own.tiles[i], own.heads[i].body
+                move(tile, read_motion(w.motion[body], 0), update, eps, loose)
+                if task == DAMP:
+                    damp(tile, law, g, eps)
+                else:
+                    respond(tile, law, g, eps)
+                most = max(most, add(tile, w.wrench[body], w.stiffness[body]))
+        return most
+
+    return forces

@@ -37,16 +37,9 @@ import numpy as np
 
 from mjgranular._util.checks import check_count
 from mjgranular.errors import InputError
+from mjgranular.kernel import engine
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.elementary import bits_of
-from mjgranular.kernel.engine import (
-    bias_forces,
-    constraint_references,
-    forward_acceleration,
-    forward_actuation,
-    solve_inertia,
-    tendon_bias_forces,
-)
 from mjgranular.kernel.intrinsics import call_forces, call_step
 from mjgranular.kernel.memory import BESIDE, LAW, SAMPLING, WORKSPACE, table_at
 from mjgranular.kernel.options import options_at
@@ -56,14 +49,13 @@ from mjgranular.law.kernel import LawKernel
 from mjgranular.scheme.balance import prepare_inertia
 from mjgranular.scheme.constraints import prepare_constraints
 from mjgranular.scheme.dense import add_scaled, clear, copy, inner
-from mjgranular.scheme.evaluation import SUM, forces_program, sampling_program
-from mjgranular.scheme.forces import SAME
+from mjgranular.scheme.forces import SAME, SUM, forces_program
 from mjgranular.scheme.layout import FORCE, INDEX, VELOCITY
 from mjgranular.scheme.metric import is_unsupported, make_metric
 from mjgranular.scheme.passivity import passive_share
-from mjgranular.scheme.scheme import Scheme, Workspace, schemes
+from mjgranular.scheme.sampling import sampling_program
+from mjgranular.scheme.scheme import BAD_METRIC, FINE, Scheme, Workspace, check_options
 from mjgranular.scheme.solver import find_velocity, lane_vector
-from mjgranular.scheme.status import BAD_METRIC, FINE, check_options
 from mjgranular.scheme.workspace import (
     DISCRETE,
     make_workspace,
@@ -111,14 +103,12 @@ class Implicit(Scheme):
         self,
         model: mujoco.MjModel,
         data: mujoco.MjData,
-        elements: np.ndarray,
         kernel: LawKernel,
-        *,
-        within: bool = False,
+        tiles: int,
+        within: bool,
     ) -> Workspace:
-        return make_workspace(
-            model, data, elements, kernel, within=within, evaluations=self.evaluations
-        )
+        options = {"within": int(within), "evaluations": self.evaluations}
+        return make_workspace(model, data, kernel, tiles, options)
 
     def check(self, model: mujoco.MjModel) -> None:
         super().check(model)
@@ -126,9 +116,6 @@ class Implicit(Scheme):
         # As Python: it would be compiled again in every process.
         if is_unsupported.py_func(options.integrator, options.solver, options.enableflags):
             raise InputError(self.refusal(BAD_METRIC))
-
-
-schemes.add(Implicit.name, Implicit)
 
 
 @compiled
@@ -198,15 +185,15 @@ def find_smooth_forces(w):
     """Have the engine compute q, all smooth forces except the sand's, and their accelerations."""
     model, data = w.model, w.data
     if w.within != 0:  # inside the step, what follows passive forces is not yet computed
-        constraint_references(model, data)
-        bias_forces(model, data, 0, w.qfrc_bias.ctypes.data)
-        tendon_bias_forces(model, data, w.qfrc_bias.ctypes.data)
-    forward_actuation(model, data)
+        engine.constraint_references(model, data)
+        engine.bias_forces(model, data, 0, w.qfrc_bias.ctypes.data)
+        engine.tendon_bias_forces(model, data, w.qfrc_bias.ctypes.data)
+    engine.forward_actuation(model, data)
     if w.integrator == DISCRETE:
         make_metric(w)
     else:
         clear(w.shift)
-    forward_acceleration(model, data)
+    engine.forward_acceleration(model, data)
 
 
 @compiled
@@ -273,7 +260,7 @@ def warm_start(w):
     if w.damped != 0:
         for i in range(w.nv):
             damped[i] = inner(w.damping[i], rate)
-        solve_inertia(w.model, w.data, answer.ctypes.data, damped.ctypes.data, 1)
+        engine.solve_inertia(w.model, w.data, answer.ctypes.data, damped.ctypes.data, 1)
         add_scaled(w.qacc_warmstart, 1.0, answer)
 
 

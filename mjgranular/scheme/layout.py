@@ -40,8 +40,3 @@ def tile_size(kernel: LawKernel) -> int:
     """Return the number of numbers in a tile."""
     gathered = size_of(kernel.element) if kernel.side_by_side else 0
     return (element_row(kernel) + gathered) * kernel.lanes
-
-
-def tile_count(kernel: LawKernel, elements: np.ndarray) -> int:
-    """Return the maximum number of tiles for these elements (field `slot`)."""
-    return sum(-(-int(n) // kernel.lanes) for n in np.bincount(elements["slot"]))

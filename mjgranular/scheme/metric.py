@@ -13,15 +13,8 @@ these.
 
 import mujoco
 
+from mjgranular.kernel import engine
 from mjgranular.kernel.compiled import compiled
-from mjgranular.kernel.engine import (
-    add_metric_product,
-    factor_inertia,
-    free_bias_derivative,
-    inverse_dynamics,
-    metric_shift,
-    turns_freely,
-)
 from mjgranular.kernel.memory import scratch
 from mjgranular.scheme.dense import add_scaled, clear
 
@@ -50,18 +43,12 @@ def make_metric(w):
     """
     model, data, shift = w.model, w.data, w.shift
     if w.within != 0:  # it follows passive forces in the step
-        metric_shift(model, data)
-    inverse_dynamics(model, data, _AFTER_VELOCITY, 1)
+        engine.metric_shift(model, data)
+    engine.inverse_dynamics(model, data, _AFTER_VELOCITY, 1)
     if w.factored == 0 and w.efm_diag.ctypes.data != 0:
-        factor_inertia(
-            w.qH.ctypes.data,
-            w.qHDiagInv.ctypes.data,
-            w.nv,
-            w.M_rownnz.ctypes.data,
-            w.M_rowadr.ctypes.data,
-            w.M_colind.ctypes.data,
-            0,
-        )
+        factors, inverse = w.qH.ctypes.data, w.qHDiagInv.ctypes.data
+        counts, rows, columns = w.M_rownnz.ctypes, w.M_rowadr.ctypes, w.M_colind.ctypes
+        engine.factor_inertia(factors, inverse, w.nv, counts.data, rows.data, columns.data, 0)
     clear(shift)
     if w.efm_c.ctypes.data != 0:
         add_scaled(shift, 1.0, w.efm_c)
@@ -80,10 +67,11 @@ def add_metric(w):
     clear(unit)
     for j in range(w.nv):
         unit[j] = 1.0
-        add_metric_product(w.model, w.data, inertia[j].ctypes.data, unit.ctypes.data, 1)
+        row = inertia[j]
+        engine.add_metric_product(w.model, w.data, row.ctypes.data, unit.ctypes.data, 1)
         unit[j] = 0.0
     for k in range(0, w.nlone, 6):
-        if turns_freely(w.model, w.data, w.dof_jntid[w.lone_dofs[k]]) != 0:
+        if engine.turns_freely(w.model, w.data, w.dof_jntid[w.lone_dofs[k]]) != 0:
             add_free_bias(w, inertia, w.lone_dofs[k])
 
 
@@ -91,7 +79,7 @@ def add_metric(w):
 def add_free_bias(w, matrix, first):
     """Add h times the derivative of a free body's bias forces; `first` is its first row."""
     block = numbers_of_block()
-    free_bias_derivative(w.model, w.data, w.dof_jntid[first], block.ctypes.data)
+    engine.free_bias_derivative(w.model, w.data, w.dof_jntid[first], block.ctypes.data)
     for i in range(6):
         for j in range(6):
             matrix[first + i, first + j] += w.h * block[6 * i + j]

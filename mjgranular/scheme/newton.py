@@ -14,8 +14,8 @@ import numpy as np
 
 from mjgranular.kernel.compiled import compiled
 from mjgranular.scheme.dense import add_scaled, inner, solve
-from mjgranular.scheme.evaluation import RESPOND, evaluate, evaluate_last, follow_all
-from mjgranular.scheme.forces import LAST, NEXT
+from mjgranular.scheme.evaluation import evaluate, evaluate_last, follow_all
+from mjgranular.scheme.forces import LAST, NEXT, RESPOND
 
 # Square of the difference between a multiplier and its velocity's: below the first the force counts
 # as the law's, below the second the residual is expected to decrease along a step. Chosen.

@@ -1,37 +1,25 @@
 """Find the elements in the sand and fill tiles with them: both schemes' loop over elements."""
 
 import math
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
 
+from mjgranular.kernel import memory
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.elementary import bits_of, number_of
 from mjgranular.kernel.fields import column, rows, size_of
 from mjgranular.kernel.lanes import all_of, choose, count_of
-from mjgranular.kernel.memory import CONTACTS, ELEMENTS, SCENE, floats, records, scratch
+from mjgranular.kernel.memory import floats, records, scratch
 from mjgranular.kernel.motion import velocity_at
 from mjgranular.kernel.records import CONTACT_DTYPE, bodies_of, contacts_of
 from mjgranular.kernel.vector import Vector, dot, write_vector
 from mjgranular.law.kernel import LawKernel, level_kernel
-from mjgranular.scheme.layout import (
-    ARM,
-    FORCE,
-    INDEX,
-    POINT,
-    SAMPLE,
-    VELOCITY,
-    WEIGHT,
-    element_row,
-    tile_size,
-)
+from mjgranular.scheme import layout
+from mjgranular.scheme.added import momentum_kernel, turn_kernel
+from mjgranular.scheme.workspace import workspace_at
 from mjgranular.scheme.wrenches import gravity_of, place_of, pose_at
-
-
-@partial(compiled, inline=True)
-def _no_level(surface, pose):
-    return 0.0
 
 
 def sampling_kernel(kernel: LawKernel, scene_dtype: np.dtype, finish: Any, *, compact: bool) -> Any:
@@ -47,9 +35,9 @@ def sampling_kernel(kernel: LawKernel, scene_dtype: np.dtype, finish: Any, *, co
     its body. Forces that it leaves in the tile are written to the contacts. `compact` merges the
     immersed elements of several packed tiles, which pays if forces are evaluated several times.
     """
-    lanes, size = kernel.lanes, tile_size(kernel)
+    lanes, size = kernel.lanes, layout.tile_size(kernel)
     packed_size = size_of(kernel.element) * lanes
-    level = _no_level if kernel.cull is None else level_kernel(kernel.probe)
+    level = None if kernel.cull is None else level_kernel(kernel.probe)
     if kernel.side_by_side:
         look, take, close = _side_by_side(kernel, scene_dtype, compact)
     else:
@@ -63,17 +51,17 @@ def sampling_kernel(kernel: LawKernel, scene_dtype: np.dtype, finish: Any, *, co
         """Pass a tile to `finish`, and write its elements' contacts."""
         contacts = contacts_of(table)
         tile, pose = floats(address, size), pose_at(place)
-        arm = read_all(tile, POINT * lanes) - pose.tree
-        write_all(tile, ARM * lanes, arm)
-        write_all(tile, VELOCITY * lanes, velocity_at(pose.motion, arm))
+        arm = read_all(tile, layout.POINT * lanes) - pose.tree
+        write_all(tile, layout.ARM * lanes, arm)
+        write_all(tile, layout.VELOCITY * lanes, velocity_at(pose.motion, arm))
         finish(table, workspace, body, place, g, tile, number, live, is_first, lead)
         for lane in range(lanes):
-            if tile[WEIGHT * lanes + lane] > 0.0:
-                contact = contacts[bits_of(tile[INDEX * lanes + lane])]
-                contact.length = tile[(SAMPLE + 1) * lanes + lane]
-                write_vector(contact.point, 0, read(tile, POINT * lanes + lane))
-                velocity = read(tile, VELOCITY * lanes + lane)
-                force = read(tile, FORCE * lanes + lane)
+            if tile[layout.WEIGHT * lanes + lane] > 0.0:
+                contact = contacts[bits_of(tile[layout.INDEX * lanes + lane])]
+                contact.length = tile[(layout.SAMPLE + 1) * lanes + lane]
+                write_vector(contact.point, 0, read(tile, layout.POINT * lanes + lane))
+                velocity = read(tile, layout.VELOCITY * lanes + lane)
+                force = read(tile, layout.FORCE * lanes + lane)
                 write_vector(contact.velocity, 0, velocity)
                 write_vector(contact.force, 0, force)
                 contact.power = dot(force, velocity)
@@ -81,14 +69,14 @@ def sampling_kernel(kernel: LawKernel, scene_dtype: np.dtype, finish: Any, *, co
     @compiled
     def sample_all(table, workspace, tiles, step, lead):
         bodies = bodies_of(table)
-        surface = scene_records(table[SCENE], 1)[0].surface
+        surface = scene_records(table[memory.SCENE], 1)[0].surface
         g = gravity_of(table)
-        packed, depths = table[ELEMENTS], room_of_depths()
+        packed, depths = table[memory.ELEMENTS], room_of_depths()
         number, first = 0, 0
         for slot in range(len(bodies)):
             body = bodies[slot]
             place = place_of(table, body)
-            around = level(surface, pose_at(place))
+            around = 0.0 if level is None else level(surface, pose_at(place))
             start = number
             live = 0
             while first < body.end:
@@ -134,7 +122,7 @@ def _look_at_all(kernel: LawKernel) -> Any:
     def look(table, packed, first, here, around, depths):
         deepest = cull(read_elements(floats(packed, packed_size), 0), around)
         write_depths(depths, 0, deepest)
-        contacts = table[CONTACTS] + contact_size * first
+        contacts = table[memory.CONTACTS] + contact_size * first
         if here == lanes:
             note_depths(floats(contacts, lanes * stride), 0, read_depths(depths, 0))
         else:
@@ -157,7 +145,7 @@ def _one_by_one(kernel: LawKernel, scene_dtype: np.dtype) -> tuple[Any, Any, Any
     read_sample, write_sample = samples.read, samples.write
     write_depths = rows(float, lanes).write
     scene_records = records(scene_dtype)
-    packed_size, size = size_of(kernel.element) * lanes, tile_size(kernel)
+    packed_size, size = size_of(kernel.element) * lanes, layout.tile_size(kernel)
 
     @partial(compiled, inline=True)
     def look_at_none(table, packed, first, here, around, depths):
@@ -169,7 +157,7 @@ def _one_by_one(kernel: LawKernel, scene_dtype: np.dtype) -> tuple[Any, Any, Any
     @compiled
     def take(table, packed, first, lane, here, place, around, g, depths, address, live):
         contacts = contacts_of(table)
-        scene = scene_records(table[SCENE], 1)[0]
+        scene = scene_records(table[memory.SCENE], 1)[0]
         elements, tile = floats(packed, packed_size), floats(address, size)
         while lane < here and live < lanes:
             if not depths[lane] <= 0.0:
@@ -177,9 +165,9 @@ def _one_by_one(kernel: LawKernel, scene_dtype: np.dtype) -> tuple[Any, Any, Any
                 found = sample(element, pose_at(place), scene.law, scene.surface, g)
                 contacts[first + lane].depth = found.depth
                 if not found.depth <= 0.0:
-                    write_sample(tile, SAMPLE * lanes + live, found)
-                    tile[INDEX * lanes + live] = number_of(first + lane)
-                    tile[WEIGHT * lanes + live] = 1.0
+                    write_sample(tile, layout.SAMPLE * lanes + live, found)
+                    tile[layout.INDEX * lanes + live] = number_of(first + lane)
+                    tile[layout.WEIGHT * lanes + live] = 1.0
                     live += 1
             lane += 1
         return lane, live
@@ -187,10 +175,10 @@ def _one_by_one(kernel: LawKernel, scene_dtype: np.dtype) -> tuple[Any, Any, Any
     @compiled
     def close(table, place, g, address, live):
         tile = floats(address, size)
-        last = read_sample(tile, SAMPLE * lanes + live - 1)
+        last = read_sample(tile, layout.SAMPLE * lanes + live - 1)
         for lane in range(live, lanes):
-            write_sample(tile, SAMPLE * lanes + lane, last)
-            tile[WEIGHT * lanes + lane] = 0.0
+            write_sample(tile, layout.SAMPLE * lanes + lane, last)
+            tile[layout.WEIGHT * lanes + lane] = 0.0
 
     return look, take, close
 
@@ -203,14 +191,14 @@ def _side_by_side(kernel: LawKernel, scene_dtype: np.dtype, compact: bool) -> tu
     write_samples, all_depths = rows(kernel.samples, lanes).write, rows(float, lanes)
     read_all_depths, write_all_weights = all_depths.read, all_depths.write
     scene_records = records(scene_dtype)
-    packed_size, size = size_of(kernel.element) * lanes, tile_size(kernel)
-    gathered = element_row(kernel) * lanes
+    packed_size, size = size_of(kernel.element) * lanes, layout.tile_size(kernel)
+    gathered = layout.element_row(kernel) * lanes
 
     @compiled
     def sample_tile(table, array, at, place, g, tile):
-        scene = scene_records(table[SCENE], 1)[0]
+        scene = scene_records(table[memory.SCENE], 1)[0]
         found = sample(read_elements(array, at), pose_at(place), scene.law, scene.surface, g)
-        write_samples(tile, SAMPLE * lanes, found)
+        write_samples(tile, layout.SAMPLE * lanes, found)
 
     @compiled
     def take(table, packed, first, lane, here, place, around, g, depths, address, live):
@@ -219,17 +207,17 @@ def _side_by_side(kernel: LawKernel, scene_dtype: np.dtype, compact: bool) -> tu
         is_whole = here == lanes and lane == 0 and live == 0 and count_of(is_dry) == 0
         if is_whole or not compact:
             for k in range(lanes):
-                tile[INDEX * lanes + k] = number_of(first + k)
-            write_all_weights(tile, WEIGHT * lanes, choose(is_dry, 0.0, 1.0))
+                tile[layout.INDEX * lanes + k] = number_of(first + k)
+            write_all_weights(tile, layout.WEIGHT * lanes, choose(is_dry, 0.0, 1.0))
             for k in range(here, lanes):
-                tile[WEIGHT * lanes + k] = 0.0
+                tile[layout.WEIGHT * lanes + k] = 0.0
             sample_tile(table, found, 0, place, g, tile)
             return here, lanes
         while lane < here and live < lanes:
             if not depths[lane] <= 0.0:
                 write_element(tile, gathered + live, read_element(found, lane))
-                tile[INDEX * lanes + live] = number_of(first + lane)
-                tile[WEIGHT * lanes + live] = 1.0
+                tile[layout.INDEX * lanes + live] = number_of(first + lane)
+                tile[layout.WEIGHT * lanes + live] = 1.0
                 live += 1
             lane += 1
         if live == lanes:
@@ -242,7 +230,37 @@ def _side_by_side(kernel: LawKernel, scene_dtype: np.dtype, compact: bool) -> tu
         last = read_element(tile, gathered + live - 1)
         for lane in range(live, lanes):
             write_element(tile, gathered + lane, last)
-            tile[WEIGHT * lanes + lane] = 0.0
+            tile[layout.WEIGHT * lanes + lane] = 0.0
         sample_tile(table, tile, gathered, place, g, tile)
 
     return look, take, close
+
+
+@cache
+def sampling_program(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
+    """Make the kernel of `Scheme.sampling`: it fills the workspace's tiles and sets `w.count`."""
+    size, added = layout.tile_size(kernel), kernel.added
+    note_momentum = None if added is None else momentum_kernel(kernel)
+    charge_turns = None if added is None else turn_kernel(kernel)
+
+    @partial(compiled, inline=True)
+    def note_head(table, w, body, place, g, tile, number, live, is_first, lead):
+        w.heads[number].body, w.heads[number].live = body.body, live
+        if note_momentum is not None:
+            note_momentum(w, body.body, tile, live, is_first)
+
+    sample_all = sampling_kernel(kernel, scene_dtype, note_head, compact=True)
+
+    @compiled
+    def find(address, lead):
+        table = memory.table_at(address)
+        w = workspace_at(table[memory.WORKSPACE])
+        w.h, w.count = lead, 0
+        if table[memory.OFF] != 0:
+            return 0
+        w.count = sample_all(table, w, w.tiles.ctypes.data, 8 * size, 0.0)
+        if charge_turns is not None:
+            charge_turns(w)
+        return w.count
+
+    return find

@@ -5,6 +5,8 @@ of MuJoCo's structs keep MuJoCo's names. The record is made once for each `MjDat
 allocates.
 """
 
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
 from typing import Any
 
 import mujoco
@@ -17,19 +19,31 @@ from mjgranular.kernel.options import options_at
 from mjgranular.kernel.structs import check_layout, offset_of, record_of
 from mjgranular.kernel.views import Views, views_at
 from mjgranular.law.kernel import LawKernel
-from mjgranular.scheme.layout import HEAD_DTYPE, tile_count, tile_size
+from mjgranular.scheme.layout import HEAD_DTYPE, tile_size
 from mjgranular.scheme.scheme import Workspace
 
-STATISTICS_DTYPE = np.dtype(
-    [
-        ("steps", np.int64),  # with an element in the sand
-        ("evaluations", np.int64),  # of forces and derivatives, in all steps
-        ("most", np.int64),  # in one step
-        ("unfinished", np.int64),  # steps whose residual stayed too large
-        ("residual", np.float64),  # of the last step, relative to its momentum; or inf
-        ("worst", np.float64),  # of all steps
-    ]
-)
+
+@dataclass(frozen=True)
+class Solver:
+    """Counters of the implicit scheme since the sand met this `MjData`.
+
+    Attributes:
+        steps: number of steps in which an element was in the sand.
+        evaluations: evaluations of all forces, summed over these steps.
+        most: the largest number of evaluations in one step.
+        unfinished: steps in which the law's forces leave more than a millionth of the momentum
+            scale unbalanced; they use a damping near these forces, which dissipates energy.
+        residual: unbalanced momentum of the last step, in parts of the momentum scale; or inf.
+        worst: largest residual of all steps.
+    """
+
+    steps: int
+    evaluations: int
+    most: int
+    unfinished: int
+    residual: float
+    worst: float
+
 
 EULER, EULER_DAMPED, IMPLICIT_FAST, IMPLICIT, DISCRETE = range(5)
 """Terms that the integrator adds to the inertia: none, joint damping, the derivative of forces, all
@@ -137,7 +151,7 @@ _OWN = {
     "lone_dofs": (_I, ("nlone",)),
     "heads": (HEAD_DTYPE, ("tile_count",)),  # of tiles: body, live lanes
     "tiles": (_F, ("tile_count", "tile_size")),
-    "statistics": (STATISTICS_DTYPE, (1,)),
+    "statistics": ([(field.name, field.type) for field in fields(Solver)], (1,)),
     "offsets": (_L, (len(_OFFSETS),)),  # of what describes the constraints, in `mjData`
 }
 _VIEWS = Views(
@@ -154,11 +168,9 @@ workspace_at = views_at(_VIEWS)
 def make_workspace(
     model: mujoco.MjModel,
     data: mujoco.MjData,
-    elements: np.ndarray,
     kernel: LawKernel,
-    *,
-    within: bool,
-    evaluations: int,
+    tiles: int,
+    options: Mapping[str, int],
 ) -> Workspace:
     """Make the workspace of one simulation; see `Scheme.workspace` and `Implicit`."""
     lone = lone_free_dofs(model)
@@ -169,11 +181,10 @@ def make_workspace(
         "nlone": len(lone),
         "lanes": kernel.lanes,
         "tile_size": tile_size(kernel),
-        "tile_count": tile_count(kernel, elements),
+        "tile_count": tiles,
         "model": model._address,
         "data": data._address,
-        "within": int(within),
-        "evaluations": evaluations,
+        **options,
     }
     own = {
         name: np.zeros([numbers.get(str(size), size) for size in shape], dtype)

@@ -97,19 +97,6 @@ def add_wrenches(table):
             body.last_wrench[k] = row[k]
 
 
-@compiled
-def take_back_wrenches(address):
-    """Restore `xfrc_applied` to what it was before `add_wrenches`, to the last bit."""
-    table = memory.table_at(address)
-    bodies = bodies_of(table)
-    xfrc = memory.floats(table[memory.XFRC], 6 * table[memory.NBODY])
-    for slot in range(len(bodies)):
-        body = bodies[slot]
-        for k in range(6):
-            xfrc[6 * body.body + k] = body.user_wrench[k]
-            body.last_wrench[k] = body.user_wrench[k]
-
-
 _BAD = tuple(
     2 * int(getattr(mujoco.mjtWarning, f"mjWARN_BAD{what}")) for what in ("QPOS", "QVEL", "QACC")
 )
@@ -134,10 +121,8 @@ def withdraw_wrenches(table):
 
     Inside MuJoCo's step the table has no `xfrc_applied`, and nothing is done.
     """
-    if table[memory.XFRC] == 0:
-        return
     bodies = bodies_of(table)
-    for slot in range(len(bodies)):
+    for slot in range(len(bodies) if table[memory.XFRC] != 0 else 0):
         body = bodies[slot]
         row, untouched = row_of_body(table, body)
         if untouched:

@@ -317,10 +317,10 @@ def kept(sweep, folder):
     return rows
 
 
-def keep(sweep, folder, *rows):
+def keep(sweep, folder, index, row):
     journal = journal_of(sweep, folder)
     journal.begin()
-    journal.keep(rows)
+    journal.keep(index, row)
     journal.close()
 
 
@@ -329,12 +329,12 @@ def test_rows_are_kept_as_soon_as_they_are_finished(tmp_path):
     assert kept(SWEEP, tmp_path) is None
     (tmp_path / UNFINISHED).write_text('{"asked"')  # killed at its first line
     assert kept(SWEEP, tmp_path) == {}
-    keep(SWEEP, tmp_path, (2, {**whole[2], "speed": 7.0}))
+    keep(SWEEP, tmp_path, 2, {**whole[2], "speed": 7.0})
     altered = (tmp_path / UNFINISHED).read_text().replace('"speed": 7.0', '"speed": 8.0')
     (tmp_path / UNFINISHED).write_text(altered)
     assert journal_of(SWEEP, tmp_path).fault() == "it is damaged"
     (tmp_path / UNFINISHED).unlink()
-    keep(SWEEP, tmp_path, (2, whole[2]))
+    keep(SWEEP, tmp_path, 2, whole[2])
     with (tmp_path / UNFINISHED).open("a") as file:
         file.write('{"index": 1, "ro')  # killed while it wrote
     assert kept(SWEEP, tmp_path) == {2: whole[2]}
@@ -349,7 +349,7 @@ def test_rows_are_kept_as_soon_as_they_are_finished(tmp_path):
 
 
 def test_another_unfinished_sweep_is_not_lost(tmp_path, capfd):
-    keep(SWEEP, tmp_path, (0, next(run_study(SWEEP, workers=1).rows())))
+    keep(SWEEP, tmp_path, 0, next(run_study(SWEEP, workers=1).rows()))
     before = (tmp_path / UNFINISHED).read_bytes()
     command = ["sweep", "--workers", "1", "--of", OF, "--out", str(tmp_path), "--vary"]
     assert main([*command, "speed=1:10:5"]) == 2

@@ -14,9 +14,9 @@ import mjgranular as mg
 from mjgranular import InputError, Medium, Quantity, Sand, UnknownNameError
 from mjgranular.kernel import compiled
 from mjgranular.law.rft import RftLaw
+from mjgranular.law.rft3d import LEVEL_PLATE
 from mjgranular.medium import read_medium
 from mjgranular.medium.file import EXAMPLE
-from mjgranular.medium.stiffness import LEVEL_PLATE
 
 PUBLISHED = json.loads(
     (Path(__file__).parents[1] / "data" / "resistive_force_theory.json").read_text(encoding="utf-8")

@@ -201,7 +201,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "law's number": (
         lambda: mg.Rft3dLaw(3000, 0.4, 0.4, scale="1"),
-        "Rft3dLaw: scale must be finite and from 0 to inf",
+        "Rft3dLaw: scale must be finite and not negative",
     ),
     "law that is not finite": (
         lambda: sand(law=mg.DepthVelocityLaw(stiffness=math.nan)),
@@ -707,7 +707,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "text for a density": (
         lambda: mg.Rft3dLaw("1500", 0.4, 0.4),  # pyright: ignore[reportArgumentType]
-        "density must be finite and from 0 to inf, not '1500'",
+        "density must be finite and not negative, not '1500'",
     ),
 }
 

@@ -122,7 +122,7 @@ def test_a_robot_starts_on_a_surface_in_words() -> None:
         ("rft3d scael=1.3", "the law 'rft3d' has no option 'scael'; it has: density, internal_f"),
         ("rft3d scale", "the option 'scale' of the law 'rft3d' needs a value: scale=..."),
         ("rft3d scale=big", "scale must be a number, not 'big'"),
-        ("rft3d scale=-1", "scale must be finite and from 0 to inf, not -1.0"),
+        ("rft3d scale=-1", "scale must be finite and not negative, not -1.0"),
         ("rft3d scale=nan", "scale must be finite"),
         ("rft3d scale=1 scale=2", "'scale' of the law 'rft3d' is given twice"),
         ("rft3d 'scale=1", "cannot be split into words"),

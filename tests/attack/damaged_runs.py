@@ -35,7 +35,7 @@ from mjgranular.cli.render import RenderCommand
 from mjgranular.errors import GranularError
 from mjgranular.experiment import Impact, Study, journal_of, run_study
 from mjgranular.experiment.folder import read_impact, saved_command
-from mjgranular.picture.video import Film, frames_of_run
+from mjgranular.picture.video import Film, frames_of_impact
 
 RUNS = Path("runs")
 BALL = "<mujoco><worldbody><body><freejoint/><geom size='.1'/></body></worldbody></mujoco>"
@@ -72,7 +72,8 @@ def make_runs() -> None:
     assert main([*sweep, "--workers", "1", "--out", str(RUNS / "sweep")]) == 0
     rows = [*run_study(SWEEP, workers=1).rows()]
     journal = journal_of(SWEEP, RUNS / "sweep")
-    journal.keep([*enumerate(rows[:3])])
+    for index, row in enumerate(rows[:3]):
+        journal.keep(index, row)
     journal.close()
     for algorithm, some in QUICK.items():
         few = ("num_envs=2", "checkpoint_every=64", "total_steps=128", "net=[8, 8]")
@@ -98,7 +99,7 @@ def read_everything(folder: Path) -> None:
     def impact() -> None:
         done, summary, trajectory, _ = read_impact(folder)
         stop = release_to_stop(summary)
-        count, _ = frames_of_run(Film(**small), done.link, trajectory, stop=stop)
+        count, _ = frames_of_impact(Film(**small), done, trajectory, stop)
         assert count < 10_000
 
     def sweep() -> None:

@@ -211,7 +211,7 @@ import mujoco
 from mjgranular import Bed, HeightField, Plane, laws, media
 from mjgranular.errors import UnknownNameError
 from mjgranular.law import make_scene
-from mjgranular.scheme.scheme import schemes
+from mjgranular.scheme import schemes
 
 XML = """
     + repr("""

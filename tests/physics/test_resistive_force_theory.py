@@ -586,9 +586,9 @@ def test_inertia_must_not_be_negative(law, bad):
         (GENERIC, {"scale": -1.0}, "scale must be finite and not negative"),
         (GENERIC, {"density": math.inf}, "density must be finite and not negative"),
         (QUIKRETE, {"internal_friction": 3.0}, "internal_friction must be finite and from 0 to 2"),
-        (QUIKRETE, {"surface_friction": -0.1}, "surface_friction must be finite and from 0"),
-        (QUIKRETE, {"density": -1.0}, "density must be finite and from 0"),
-        (QUIKRETE, {"scale": math.nan}, "scale must be finite and from 0"),
+        (QUIKRETE, {"surface_friction": -0.1}, "surface_friction must be finite and not negative"),
+        (QUIKRETE, {"density": -1.0}, "density must be finite and not negative"),
+        (QUIKRETE, {"scale": math.nan}, "scale must be finite and not negative"),
     ],
 )
 def test_values_without_meaning(law, option, message):

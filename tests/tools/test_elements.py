@@ -14,7 +14,7 @@ from mjgranular.cli import main
 from mjgranular.experiment.drop import Drop
 from mjgranular.models import model_path
 from mjgranular.picture.elements import GAP, add_elements, draw_elements, facet_bodies
-from mjgranular.picture.shown import Shown, area_vectors, facet_corners, kind_of, polygons_of
+from mjgranular.picture.outlines import Shown, area_vectors, facet_corners, kind_of, polygons_of
 
 FOOT = """
 <mujoco><worldbody><body name="foot" pos="0.1 0 0"><freejoint/>

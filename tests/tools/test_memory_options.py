@@ -43,7 +43,7 @@ def test_an_impact_with_memory(tmp_path: Path) -> None:
     """The print of a run until rest is as deep as the link lies, and its film shows it."""
     pytest.importorskip("matplotlib")
     from mjgranular.experiment.folder import read_impact
-    from mjgranular.picture.video import Film, frames_of_run
+    from mjgranular.picture.video import Film, frames_of_impact
 
     words = (
         "impact --memory 0.005 --law link_distributed --until rest --duration 0.2 --timestep 5e-5"
@@ -63,8 +63,8 @@ def test_an_impact_with_memory(tmp_path: Path) -> None:
     film = Film(camera="corner", width=320, height=240, seconds=0.1, fps=10, hold=0)
     try:
         with_prints, without = (
-            list(frames_of_run(film, impact.link, run, stop=None, prints=p, sand=s)[1])[-1]
-            for p, s in ((prints, impact.described), (untouched, impact.described))
+            list(frames_of_impact(film, impact, run, None, tracks)[1])[-1]
+            for tracks in (prints, untouched)
         )
     except RenderError as error:
         pytest.skip(str(error))

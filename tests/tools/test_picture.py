@@ -9,7 +9,7 @@ from mjgranular import errors
 from mjgranular.cli import main
 from mjgranular.experiment import Impact, run_impact
 from mjgranular.models import Link
-from mjgranular.picture.video import Film, frames_of_run, write_video
+from mjgranular.picture.video import Film, frames_of_impact, write_video
 
 
 @pytest.fixture(scope="module")
@@ -22,9 +22,8 @@ def saved(tmp_path_factory):
 def film_frames(impact, **options):
     result = run_impact(impact)
     film = Film(width=320, height=240, fps=5, seconds=1.0, hold=0.4, **options)
-    count, frames = frames_of_run(
-        film, impact.link, result.trajectory, stop=result.stop.time if result.stop else None
-    )
+    stop = result.stop.time if result.stop else None
+    count, frames = frames_of_impact(film, impact, result.trajectory, stop)
     pictures = list(frames)
     assert len(pictures) == count
     return pictures

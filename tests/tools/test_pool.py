@@ -58,9 +58,9 @@ def test_an_interrupt_between_writing_and_counting_loses_no_result(tmp_path, mon
     journal = Journal(tmp_path, {}, 3)
     journal.begin()
 
-    def keep(results):
+    def keep(index, row):
         number = journal.count
-        Journal.keep(journal, results)
+        Journal.keep(journal, index, row)
         journal.count = number
         raise KeyboardInterrupt
 
@@ -72,7 +72,7 @@ def test_an_interrupt_between_writing_and_counting_loses_no_result(tmp_path, mon
 
 def test_a_journal_of_something_else_says_what_differs(tmp_path):
     journal = Journal(tmp_path, {"of": "sums", "size": 3}, 3)
-    journal.keep([(0, {"x": 1})])
+    journal.keep(0, {"x": 1})
     journal.close()
     assert Journal(tmp_path, {"of": "sums", "size": 3}, 3).fault() is None
     assert "another size" in str(Journal(tmp_path, {"of": "sums", "size": 4}, 4).fault())
@@ -95,7 +95,7 @@ def test_a_damaged_journal_is_not_gone_on_from(line, tmp_path):
         return Journal(tmp_path, {"of": "sums"}, 3)
 
     first = journal()
-    first.keep([(0, {"x": 1})])
+    first.keep(0, {"x": 1})
     first.close()
     with (tmp_path / UNFINISHED).open("a") as file:
         file.write(f"{line}\n")
@@ -109,8 +109,8 @@ def test_results_lie_on_the_disk_and_not_in_memory():
     journal = Journal(None, {}, 20_000)
     journal.begin()
     tracemalloc.start()
-    for first in range(0, 20_000, 100):
-        journal.keep([(index, {"text": "x" * 1000}) for index in range(first, first + 100)])
+    for index in range(20_000):
+        journal.keep(index, {"text": "x" * 1000})
     _, most = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert most < 2e6
@@ -130,7 +130,7 @@ def test_mistakes():
 def test_what_cannot_be_written_is_told(tmp_path):
     journal = Journal(tmp_path / "gone", {}, 2)
     with pytest.raises(OutputError, match="cannot write"):
-        journal.keep([(0, {"x": 1})])
+        journal.keep(0, {"x": 1})
 
 
 def test_a_journal_on_a_full_disk_can_be_closed(tmp_path):
@@ -141,7 +141,7 @@ def test_a_journal_on_a_full_disk_can_be_closed(tmp_path):
     resource.setrlimit(resource.RLIMIT_FSIZE, (0, before[1]))
     try:
         with pytest.raises(OutputError, match="cannot write"):
-            journal.keep([(0, {"x": 1})])
+            journal.keep(0, {"x": 1})
         journal.close()
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)

@@ -106,8 +106,8 @@ drop block.xml --law '' | no law ''; there are: depth_velocity, link,
 drop block.xml --law 'rft3d scael=1.3' | the law 'rft3d' has no option 'scael'
 drop block.xml --law 'rft3d scale' | the option 'scale' of the law 'rft3d' needs a value: scale=...
 drop block.xml --law 'rft3d scale=big' | scale must be a number, not
-drop block.xml --law 'rft3d scale=-1' | Rft3dLaw: scale must be finite and from 0 to inf
-drop block.xml --law 'rft3d scale=nan' | Rft3dLaw: scale must be finite and from 0 to inf
+drop block.xml --law 'rft3d scale=-1' | Rft3dLaw: scale must be finite and not negative
+drop block.xml --law 'rft3d scale=nan' | Rft3dLaw: scale must be finite and not negative
 drop block.xml --law 'rft3d scale=1 scale=2' | the option 'scale' of the law 'rft3d' is given twice
 drop block.xml --law "rft3d 'scale=1" | "rft3d 'scale=1" cannot be split into words: no closing
 drop block.xml --law my_laws:Drag | no module 'my_laws'; there are: error, quad (for the law

@@ -164,7 +164,7 @@ def test_an_unfinished_one_goes_on_and_another_does_not(tmp_path, capfd):
     study = Study(replace(QUICK, speed=Impact.speed), {"speed": [1.0, 1.5, 2.0]})
     marked = {**run_study(Study(QUICK, {"speed": [1.5]}), workers=1).journal[0], "depth": -1.0}
     journal = journal_of(study, tmp_path)
-    journal.keep([(1, marked)])
+    journal.keep(1, marked)
     journal.close()
     other = ["sweep", "--vary", "speed=1:3:3", *FEW, "--out", str(tmp_path)]
     assert main(other) == 2
