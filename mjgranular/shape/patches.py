@@ -11,6 +11,8 @@ surface stays closed; the centroid and the second moments of their area; and, by
 variation of their normals over it.
 """
 
+import math
+
 import mujoco
 import numpy as np
 
@@ -29,6 +31,7 @@ _ROUND = 0.25  # each pass splits all patches that vary by this share of the wor
 _FLAT = 1e-6  # patches narrower than this share of their mesh have zero width; chosen: rounding
 # Of one flat face: normals within 10 degrees, and centers within a twentieth of the width; chosen.
 _PARALLEL, _COPLANAR = 0.985, 0.05
+_CURVED = math.sqrt(1 - _PARALLEL**2)  # such a fraction of a cylinder's projection is no flat face
 _ENOUGH = 2000  # maximum number of facets in the comparison; chosen
 _CANCELLED = 1e-6  # relative size of the summed area vectors below which a patch has no direction
 
@@ -109,7 +112,8 @@ def flatness(facets: Facets, width: float) -> np.ndarray:
     """Return the fraction of a mesh's projection in each facet's direction that is one flat face.
 
     That is the area of what is nearly in the facet's plane, relative to the area of the whole mesh
-    projected in its direction: 1 for a face of a box, 0.03 for a ball.
+    projected in its direction, beyond that of a cylinder: 1 for a face of a box, 0 for a cylinder
+    and a ball.
     """
     # A sample is sufficient for a ratio of areas.
     some = slice(None, None, -(-len(facets.points) // _ENOUGH) or 1)
@@ -123,7 +127,7 @@ def flatness(facets: Facets, width: float) -> np.ndarray:
         face = (areas * along * ((along > _PARALLEL) & near)).sum(axis=1)
         shown = 0.5 * (areas * np.abs(along)).sum(axis=1)
         found[here] = face / np.maximum(shown, face + 1e-300)
-    return found
+    return np.maximum(found - _CURVED, 0.0) / (1.0 - _CURVED)
 
 
 def _parted(places: np.ndarray, areas: np.ndarray, resolution: int) -> tuple[np.ndarray, int]:

@@ -298,3 +298,35 @@ def test_many_meshes_share_the_facets_by_their_skins():
     assert counts[1] == pytest.approx(counts[-1], rel=0.05)
     asked = facets_from_model(model, geoms, 12)
     assert len(asked) > 2 * len(found)
+
+
+def wheel(sides):
+    """A wheel 160 mm in diameter and 60 mm wide, its axis along y; a cylinder without `sides`."""
+    turns = np.arange(sides or 3) * 2 * math.pi / (sides or 3)
+    rim = [
+        (0.08 * math.cos(turn), 0.08 * math.sin(turn), z) for z in (-0.03, 0.03) for turn in turns
+    ]
+    vertices = " ".join(f"{value:.9g}" for point in rim for value in point)
+    shape = 'type="mesh" mesh="wheel"' if sides else 'type="cylinder" size=".08 .03"'
+    return mujoco.MjModel.from_xml_string(
+        f"""<mujoco><asset><mesh name="wheel" vertex="{vertices}"/></asset><worldbody><body>
+        <freejoint/><geom {shape} euler="90 0 0" mass="1"/></body></worldbody></mujoco>"""
+    )
+
+
+def force_on_wheel(model, velocity):
+    data = mujoco.MjData(model)
+    data.qpos[2], data.qvel[:] = 0.068, velocity
+    mujoco.mj_forward(model, data)
+    return Sand(model, resolution=24).report(data)[1].force
+
+
+@pytest.mark.parametrize("sides", [24, 48, 192])
+@pytest.mark.parametrize(
+    "velocity",
+    [(0.05, 0, 0, 0, 0.625, 0), (0.05, 0, 0, 0, 0, 0), (0, 0.05, 0, 0, 0, 0), (0, 0, -1, 0, 0, 0)],
+    ids=["rolls", "slides", "slides sideways", "falls"],
+)
+def test_a_wheel_of_a_mesh_is_a_cylinder(sides, velocity):
+    cylinder, mesh = (force_on_wheel(wheel(count), velocity) for count in (0, sides))
+    assert np.linalg.norm(mesh - cylinder) < 0.06 * np.linalg.norm(cylinder)
