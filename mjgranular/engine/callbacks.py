@@ -24,8 +24,7 @@ from mjgranular.kernel import memory
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.intrinsics import c_function, call_step
 from mjgranular.kernel.memory import field, floats, ints, longs, records, row_of, table_at
-from mjgranular.kernel.options import has_passive_forces, options_of
-from mjgranular.kernel.records import bodies_of, contacts_of
+from mjgranular.kernel.records import bodies_of, contacts_of, has_passive_forces, options_of
 from mjgranular.kernel.vector import cross, read_vector
 from mjgranular.scheme.scheme import BAD_TIMESTEP, REFUSED
 

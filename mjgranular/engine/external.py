@@ -18,8 +18,7 @@ from mjgranular.engine.instances import instance_of, sands_in
 from mjgranular.kernel.compiled import compiled, entry
 from mjgranular.kernel.engine import forces_on_bodies, sensors_of_acceleration
 from mjgranular.kernel.memory import NBODY, field, ints, row_of, table_at
-from mjgranular.kernel.options import has_passive_forces
-from mjgranular.kernel.records import bodies_of
+from mjgranular.kernel.records import bodies_of, has_passive_forces
 
 ASLEEP = int(mujoco.mjtSleepState.mjS_ASLEEP)
 """Value of `body_awake` for bodies that MuJoCo skips."""

@@ -1,11 +1,17 @@
-"""Records that kernels fill: one for each body in the sand, and one for each element."""
+"""Records of kernels: of each body in the sand and of each element, filled; the model's options.
+
+A user may change options between any two steps, so nothing that depends on them is stored: kernels
+read `mjOption` in place in `mjModel`.
+"""
 
 from functools import partial
 
+import mujoco
 import numpy as np
 
+from mjgranular.kernel import memory
 from mjgranular.kernel.compiled import compiled
-from mjgranular.kernel.memory import BODIES, BODY_COUNT, CONTACTS, ELEMENT_COUNT, records
+from mjgranular.kernel.structs import check_layout, offset_of, record_of
 
 BODY_DTYPE = np.dtype(
     [
@@ -31,17 +37,49 @@ CONTACT_DTYPE = np.dtype(
     ]
 )
 
-body_records = records(BODY_DTYPE)
-contact_records = records(CONTACT_DTYPE)
+OPTION_DTYPE = record_of("mjOption")
+
+NO_GRAVITY = int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
+NO_PASSIVE_FORCES = int(mujoco.mjtDisableBit.mjDSBL_SPRING | mujoco.mjtDisableBit.mjDSBL_DAMPER)
+"""With both of these disabled `mj_passive` computes nothing, not even the forces of plugins."""
+
+body_records = memory.records(BODY_DTYPE)
+contact_records = memory.records(CONTACT_DTYPE)
+option_records = memory.records(OPTION_DTYPE)
+_options_in = memory.field("mjModel", "opt")
 
 
 @partial(compiled, inline=True)
 def bodies_of(table):
     """Return the records of the bodies of a simulation."""
-    return body_records(table[BODIES], table[BODY_COUNT])
+    return body_records(table[memory.BODIES], table[memory.BODY_COUNT])
 
 
 @partial(compiled, inline=True)
 def contacts_of(table):
     """Return the records of the elements of a simulation."""
-    return contact_records(table[CONTACTS], table[ELEMENT_COUNT])
+    return contact_records(table[memory.CONTACTS], table[memory.ELEMENT_COUNT])
+
+
+def options_address(model: mujoco.MjModel) -> int:
+    """Return the address of a model's `mjOption`."""
+    check_layout("mjOption")
+    return model.opt.gravity.ctypes.data - offset_of("mjOption", "gravity")
+
+
+@partial(compiled, inline=True)
+def options_at(table):
+    """Return the present options of the model, a record of `OPTION_DTYPE`."""
+    return option_records(table[memory.OPTIONS], 1)[0]
+
+
+@partial(compiled, inline=True)
+def options_of(model):
+    """Return the present options of the model at an address."""
+    return option_records(_options_in(model), 1)[0]
+
+
+@partial(compiled, inline=True)
+def has_passive_forces(model):
+    """Return True if MuJoCo computes passive forces for the model at an address."""
+    return options_of(model).disableflags & NO_PASSIVE_FORCES != NO_PASSIVE_FORCES

@@ -22,7 +22,7 @@ from mjgranular.kernel.compiled import compiled, program_address
 from mjgranular.kernel.fields import rows
 from mjgranular.kernel.lanes import all_of, choose
 from mjgranular.kernel.memory import floats, records, row_of, scratch, table_at
-from mjgranular.kernel.options import NO_GRAVITY, options_at
+from mjgranular.kernel.records import NO_GRAVITY, options_at
 from mjgranular.kernel.vector import (
     Vector,
     dot,

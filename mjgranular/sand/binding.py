@@ -14,8 +14,7 @@ import numpy as np
 from mjgranular.errors import InputError
 from mjgranular.kernel.compiled import entry
 from mjgranular.kernel.memory import BESIDE, OFF
-from mjgranular.kernel.options import options_address
-from mjgranular.kernel.records import BODY_DTYPE, CONTACT_DTYPE
+from mjgranular.kernel.records import BODY_DTYPE, CONTACT_DTYPE, options_address
 from mjgranular.sand.guard import Snapshot, add_again, withdraw
 from mjgranular.sand.prepare import PreparedSand
 from mjgranular.scheme.scheme import Workspace, nanoseconds

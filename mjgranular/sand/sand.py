@@ -13,7 +13,7 @@ from mjgranular._util.checks import check_kind, check_switch
 from mjgranular.errors import InputError, UnstableError
 from mjgranular.kernel.compiled import entry
 from mjgranular.kernel.memory import BESIDE, UPDATE
-from mjgranular.kernel.options import NO_GRAVITY
+from mjgranular.kernel.records import NO_GRAVITY
 from mjgranular.law import Law
 from mjgranular.medium import Medium
 from mjgranular.relief.grid import TIME

@@ -42,8 +42,7 @@ from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.elementary import bits_of
 from mjgranular.kernel.intrinsics import call_forces, call_step
 from mjgranular.kernel.memory import BESIDE, LAW, SAMPLING, WORKSPACE, table_at
-from mjgranular.kernel.options import options_at
-from mjgranular.kernel.records import bodies_of, contacts_of
+from mjgranular.kernel.records import bodies_of, contacts_of, options_at
 from mjgranular.kernel.vector import cross, dot, norm, read_vector, write_vector
 from mjgranular.law.kernel import LawKernel
 from mjgranular.scheme.balance import prepare_inertia

@@ -13,7 +13,7 @@ import numpy as np
 from mjgranular.errors import InputError
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.memory import LONGEST_STEP
-from mjgranular.kernel.options import options_at
+from mjgranular.kernel.records import options_at
 from mjgranular.law.kernel import LawKernel
 
 STEP = "int64(int64, float64)"  # signature of the program of a scheme

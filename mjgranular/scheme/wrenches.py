@@ -7,8 +7,7 @@ import mujoco
 from mjgranular.kernel import memory
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.motion import read_motion
-from mjgranular.kernel.options import NO_GRAVITY, options_at
-from mjgranular.kernel.records import bodies_of
+from mjgranular.kernel.records import NO_GRAVITY, bodies_of, options_at
 from mjgranular.kernel.vector import read_matrix, read_vector
 from mjgranular.law.kernel import Pose
 
