@@ -92,7 +92,7 @@ class SandRanges:
 
     @staticmethod
     def of_reset(ranges: "SandRanges | None", options: Any) -> "SandRanges | None":
-        """Return the ranges for one episode from options of a reset; a number is a fixed value."""
+        """Return the ranges of one episode from options of a reset; one value or name is fixed."""
         if not isinstance(options, Mapping | None):
             raise InputError(f"options of reset must be a dict by name, not {kind_of(options)}")
         if not options:
@@ -106,10 +106,12 @@ class SandRanges:
                 f"reset: {', '.join(options)} can be set if the environment is made with "
                 "randomise={...}, for example randomise={}"
             )
-        given = {
-            name: (value, value) if isinstance(value, Real) else value
-            for name, value in options.items()
-        }
+        given = dict(options)
+        for name, value in options.items():
+            if isinstance(value, Real):
+                given[name] = (value, value)
+            elif isinstance(value, str):
+                given[name] = (value,)
         wanted = replace(ranges, **given)
         wanted.check_within(ranges, "reset")
         return wanted

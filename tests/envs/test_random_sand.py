@@ -188,6 +188,8 @@ def test_a_reset_sets_the_sand_of_one_episode():
         assert info["sand/strength"] == 0.6
         assert 0.1 <= info["sand/slope"] <= 0.2
         assert info["sand/medium"] == "poppy_seed_loose"
+    info = env.reset(seed=0, options={"media": "poppy_seed_loose"})[1]
+    assert info["sand/medium"] == "poppy_seed_loose"
     assert env.reset(seed=3)[1]["sand/strength"] != 0.6
     same = gym.make(id_of("Hexapod"), randomise=EVERYTHING)
     assert np.array_equal(same.reset(seed=3)[0], env.reset(seed=3, options={})[0])
