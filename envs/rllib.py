@@ -7,7 +7,7 @@ from typing import Any
 
 import gymnasium as gym
 
-from mjgranular._util.extras import require
+from mjgranular._util.checks import require
 from mjgranular.envs.known import find_spec
 
 

@@ -5,8 +5,7 @@ from typing import Any
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
-from mjgranular._util.checks import kind_of
-from mjgranular._util.extras import require
+from mjgranular._util.checks import kind_of, require
 from mjgranular.envs.vector import SandVectorEnv
 from mjgranular.errors import InputError
 

@@ -8,8 +8,7 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
-from mjgranular._util.checks import check_count, check_switch
-from mjgranular._util.extras import require
+from mjgranular._util.checks import check_count, check_switch, require
 from mjgranular.envs.known import find_spec
 from mjgranular.envs.vector import SandVectorEnv
 from mjgranular.errors import InputError

@@ -6,7 +6,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from mjgranular._util.extras import require
+from mjgranular._util.checks import require
 from mjgranular.engine.instances import instance_of
 from mjgranular.engine.tuning import DENSITY, HEIGHT, INITIAL, STRENGTH
 from mjgranular.envs.ground import place, quiet

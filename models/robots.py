@@ -3,8 +3,7 @@
 import os
 from pathlib import Path
 
-from mjgranular._util.checks import kind_of
-from mjgranular._util.extras import require
+from mjgranular._util.checks import kind_of, require
 from mjgranular.errors import InputError, MissingExtraError, UnknownNameError
 
 ROOT = "MENAGERIE_ROOT"

@@ -13,7 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from mjgranular._util.extras import require
+from mjgranular._util.checks import require
 from mjgranular.errors import GranularError, UnstableError
 from mjgranular.learn import change, find_settings
 from mjgranular.learn.evaluate import evaluate

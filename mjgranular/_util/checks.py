@@ -1,5 +1,6 @@
-"""Checks of the types of arguments; they raise `InputError`, which says what is expected."""
+"""Checks of the types of arguments, and of optional dependencies; errors say what is expected."""
 
+import importlib
 import math
 import types
 import typing
@@ -9,7 +10,7 @@ from typing import Any, Literal, Union
 import mujoco
 import numpy as np
 
-from mjgranular.errors import InputError, shown
+from mjgranular.errors import InputError, MissingExtraError, shown
 
 _LONGEST = 4096  # characters of a string
 _MEANT = {
@@ -90,3 +91,12 @@ def kind_of(value: Any) -> str:
 def _one(name: str) -> str:
     """Return a name with its article; "Mj" is pronounced letter by letter."""
     return f"{'an' if name[0] in 'AEIOU' or name.startswith('Mj') else 'a'} {name}"
+
+
+def require(package: str, *, extra: str, purpose: str) -> Any:
+    """Import a module of an optional dependency, or raise an error with the install line."""
+    try:
+        return importlib.import_module(package)
+    except ModuleNotFoundError as error:
+        missing = (error.name or package).partition(".")[0]
+        raise MissingExtraError(missing, extra, purpose) from None

@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from mjgranular._util.checks import check_kind
-from mjgranular._util.extras import require
+from mjgranular._util.checks import check_kind, require
 from mjgranular.calibrate.drops import DropTrial, ModelTrial
 from mjgranular.calibrate.intervals import (
     COLLINEAR,

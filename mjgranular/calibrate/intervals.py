@@ -22,7 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mjgranular._util.extras import require
+from mjgranular._util.checks import require
 from mjgranular.calibrate.material import Material
 from mjgranular.calibrate.trial import Trial
 

@@ -4,7 +4,7 @@ from dataclasses import MISSING, asdict, fields, replace
 from pathlib import Path
 from typing import Any, get_type_hints
 
-from mjgranular._util.extras import require
+from mjgranular._util.checks import require
 from mjgranular._util.io import place
 from mjgranular.calibrate.fit import FitResult
 from mjgranular.calibrate.material import DENSITY, STRENGTH

@@ -10,7 +10,7 @@ import tyro
 from rich.table import Table
 from rich.text import Text
 
-from mjgranular._util.extras import require
+from mjgranular._util.checks import require
 from mjgranular.cli.console import out, print_json, progress_bar
 from mjgranular.cli.options import Flag
 from mjgranular.errors import InputError, OutputError, UnknownNameError

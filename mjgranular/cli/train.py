@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from mjgranular._util.extras import require
+from mjgranular._util.checks import require
 from mjgranular.cli.console import note, out, print_json, progress_bar, show_error
 from mjgranular.cli.options import Flag, given_options, option
 from mjgranular.errors import InputError, MissingExtraError, warn_user

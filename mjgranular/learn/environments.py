@@ -5,7 +5,7 @@ import inspect
 from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
-from mjgranular._util.extras import require
+from mjgranular._util.checks import require
 from mjgranular.errors import GranularError, InputError, RenderError
 
 T = TypeVar("T")

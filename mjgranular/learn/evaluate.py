@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from mjgranular._util.checks import check_count, kind_of
-from mjgranular._util.extras import require
+from mjgranular._util.checks import check_count, kind_of, require
 from mjgranular.errors import InputError
 from mjgranular.learn import environments
 from mjgranular.learn.agents import Agent

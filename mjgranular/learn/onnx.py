@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from mjgranular._util.checks import check_kind
-from mjgranular._util.extras import require
+from mjgranular._util.checks import check_kind, require
 from mjgranular._util.files import atomic_write
 from mjgranular.errors import InputError, OutputError
 from mjgranular.learn.policies import Policy

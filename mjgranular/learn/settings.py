@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Self
 
-from mjgranular._util.extras import require
+from mjgranular._util.checks import require
 from mjgranular._util.io import fits, place, read_file
 from mjgranular.errors import InputError, UnknownNameError, shown
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mjgranular._util import files
-from mjgranular._util.extras import require
+from mjgranular._util.checks import require
 from mjgranular._util.result_folder import CONFIG
 from mjgranular._util.signals import kept_signals
 from mjgranular._util.versions import versions

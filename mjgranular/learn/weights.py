@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from mjgranular._util.extras import require
+from mjgranular._util.checks import require
 from mjgranular.errors import InputError, OutputError
 from mjgranular.learn.settings import Settings
 

@@ -7,8 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from mjgranular._util.checks import kind_of
-from mjgranular._util.extras import require
+from mjgranular._util.checks import kind_of, require
 from mjgranular._util.io import place, read_file
 from mjgranular._util.parse import parse_number
 from mjgranular._util.registry import Registry

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import mujoco
 import numpy as np
 
-from mjgranular._util.extras import require
+from mjgranular._util.checks import require
 from mjgranular._util.files import atomic_write
 from mjgranular.errors import InputError
 from mjgranular.picture import outlines

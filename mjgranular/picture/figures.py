@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from mjgranular._util.extras import require
+from mjgranular._util.checks import require
 from mjgranular._util.files import atomic_write
 from mjgranular.errors import one_line
 from mjgranular.experiment.trajectory import Trajectory

@@ -10,8 +10,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from mjgranular._util.checks import kind_of
-from mjgranular._util.extras import require
+from mjgranular._util.checks import kind_of, require
 from mjgranular._util.files import atomic_write
 from mjgranular.errors import (
     GranularError,

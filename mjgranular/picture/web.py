@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 import rich
 
-from mjgranular._util.extras import require
+from mjgranular._util.checks import require
 from mjgranular.errors import InputError
 from mjgranular.kernel.structs import offset_of, record_of
 from mjgranular.picture.viewer import Command, Switch

@@ -7,7 +7,7 @@ from concurrent.futures import Future
 from contextlib import suppress
 from typing import Any
 
-from mjgranular._util.extras import require
+from mjgranular._util.checks import require
 from mjgranular._util.signals import kept_signals
 from mjgranular._util.versions import mismatch, versions
 from mjgranular.errors import InputError

@@ -4,7 +4,7 @@ Modules with kernels do without `from __future__ import annotations`: Warp reads
 structs in place.
 """
 
-from mjgranular._util.extras import require
+from mjgranular._util.checks import require
 
 require("mujoco_warp", extra="warp", purpose="Sand for MuJoCo Warp")
 
