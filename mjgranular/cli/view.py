@@ -22,7 +22,7 @@ from mjgranular.experiment.drop import Drop, loading, make_ready, read, start_fr
 from mjgranular.experiment.ground import hide_replaced, refuse_floors
 from mjgranular.learn import environments
 from mjgranular.learn.evaluate import FIRST_SEED
-from mjgranular.learn.live import Live
+from mjgranular.learn.film import Live
 from mjgranular.learn.run import POLICY
 from mjgranular.picture.viewer import Switch, check_display, follow, opened
 from mjgranular.picture.web import Page, check_address

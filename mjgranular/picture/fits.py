@@ -6,21 +6,17 @@ from pathlib import Path
 from mjgranular.calibrate import FitResult
 from mjgranular.picture.figures import PALETTE, figure, plain
 
-_AXES = {
+_COLUMNS = {  # factors of SI units, and labels
     "time": (1e3, "time since the touch [ms]"),
     "depth": (1e3, "depth [mm]"),
     "speed": (1.0, "speed [m/s]"),
     "angle": (1.0, "angle [deg]"),
     "spin": (1.0, "spin [rad/s]"),
     "rate": (1.0, "rate [Hz]"),
-}
-_QUANTITIES = {
-    "depth": (1e3, "depth [mm]"),
     "pitch": (1.0, "pitch [deg]"),
     "force": (1.0, "force [N]"),
     "side": (1.0, "side force [N]"),
     "lift": (1.0, "lift [N]"),
-    "speed": (1.0, "speed [m/s]"),
 }
 _MOST = 24  # curves in a figure
 
@@ -37,16 +33,12 @@ def draw_fit(path: Path, result: FitResult) -> None:
     with figure(path, *size, title) as drawn:
         grid = drawn.subplots(rows, columns, squeeze=False).ravel()
         for axes, (name, curve) in zip(grid, curves, strict=False):
-            along, below = _AXES[curve.axis]
-            factor, beside = _QUANTITIES[curve.quantity]
+            along, below = _COLUMNS[curve.axis]
+            factor, beside = _COLUMNS[curve.quantity]
+            color, label = (predicted, "predicted") if curve.held_out else (fitted, "fitted")
             places, values = along * curve.places, factor * curve.measured
             axes.plot(places, values, ".", color=measured, markersize=3, label="measured")
-            axes.plot(
-                places,
-                factor * curve.predicted,
-                color=predicted if curve.held_out else fitted,
-                label="predicted" if curve.held_out else "fitted",
-            )
+            axes.plot(places, factor * curve.predicted, color=color, label=label)
             axes.set(xlabel=below, ylabel=beside, title=plain(name))
             if curve.quantity == "depth":
                 axes.invert_yaxis()
