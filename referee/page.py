@@ -16,7 +16,8 @@ if TYPE_CHECKING:
     from comparison import Comparison
 
 _DEFAULT = "rft3d_dynamic"
-_GOOD, _ROUGH = 0.1, 0.25  # worst errors of trajectories and final depths; chosen
+# Worst errors of trajectories and final depths, in whole percents as they are printed; chosen.
+_GOOD, _ROUGH = 0.1, 0.25
 
 _HEAD = """# Accuracy of the laws
 
@@ -164,10 +165,11 @@ def _verdicts(found: list[list[Comparison]]) -> list[str]:
 def _verdict(rows: list[Range]) -> str:
     groups: dict[str, list[str]] = {"good": [], "estimate": [], "not reliable": []}
     for r in rows:
-        if max(r.worst, r.worst_final) <= _GOOD:
+        worst = round(r.worst, 2)
+        if max(worst, round(r.worst_final, 2)) <= _GOOD:
             verdict = "good"
         else:
-            verdict = "estimate" if r.worst <= _ROUGH else "not reliable"
+            verdict = "estimate" if worst <= _ROUGH else "not reliable"
         fitted = " (fitted)" if r.fitted else ""
         groups[verdict].append(f"{r.motion} {_percent(r.worst, sign=False)}{fitted}")
     return "; ".join(f"**{name}** {', '.join(items)}" for name, items in groups.items() if items)

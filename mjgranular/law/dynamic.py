@@ -32,7 +32,8 @@ _CITATION = (
     "strength after R. Lancellotta, Geotechnique 52, 617 (2002)"
 )
 
-_WITHIN = 0.25  # largest error for which a law is an estimate; chosen (docs/validity.md)
+# The largest error of an estimate, in whole percents; chosen (docs/validity.md).
+_WITHIN = 0.25
 
 
 def _confirmed(name: str, inertial_number: float | None = None) -> tuple[Limit, ...]:
@@ -43,7 +44,7 @@ def _confirmed(name: str, inertial_number: float | None = None) -> tuple[Limit, 
     """
     froude = 0.0
     for finding in sorted(findings_of(name), key=lambda finding: finding.froude):
-        if finding.error > _WITHIN:
+        if round(finding.error, 2) > _WITHIN:
             break
         froude = finding.froude
     source = f"trajectories within {_WITHIN:.0%}: docs/validity.md"
