@@ -151,6 +151,6 @@ def test_a_robot_follows_commands_on_sand_and_on_a_floor(name, ground):
 
 @pytest.mark.usefixtures("robots")
 def test_a_robot_on_two_legs_gets_ahead_without_a_fall():
-    policy = load_policy("G1Velocity-v0/ppo-7")
+    policy = load_policy("G1Velocity-v0/ppo-8")
     env = SandEnv(StraightG1(command_x=(0.5, 0.5), push_scale=0.0, history=4))
     assert 0.2 < walk(policy, env, 250)[0] < 0.6
