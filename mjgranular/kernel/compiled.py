@@ -156,10 +156,11 @@ def _find_or_make(key: tuple[Any, str, Any], what: str) -> Any:
     if settings.DISABLE_JIT:
         raise InputError("sand has to be compiled: unset NUMBA_DISABLE_JIT")
     with PROGRAMS:
-        if key not in _programs:
+        found = _programs.get(key)
+        if found is None:
             with compiling(what), event.install_listener("numba:compile", _Progress()):
-                _programs[key] = _load_or_compile(*key, what)
-        return _programs[key]
+                found = _programs[key] = _load_or_compile(*key, what)
+        return found
 
 
 def _load_or_compile(kernel: Any, signature: str, make: Callable[..., Any], what: str) -> Any:
@@ -209,7 +210,8 @@ class _Progress(event.Listener):
 
     def on_start(self, event: Any) -> None:
         cancellation_point()
-        _logger.info("compiling %s", event.data["dispatcher"].py_func.__qualname__)
+        name = event.data["dispatcher"].py_func.__qualname__
+        _logger.info("compiling %s", name.removesuffix(".call"))
 
     def on_end(self, event: Any) -> None:
         pass
