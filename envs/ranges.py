@@ -256,7 +256,7 @@ class Sample:
         gravity[:] = -down * math.sin(self.slope), 0.0, -down * math.cos(self.slope)
 
 
-def told(choices: Sequence[Choice], state: Any) -> dict[str, np.ndarray]:
+def sampled_info(choices: Sequence[Choice], state: Any) -> dict[str, np.ndarray]:
     """Return the entries of `info` on the sampled sand of the simulations of a state."""
     info = {f"sand/{name}": getattr(state, name).copy() for name in _DRAWN}
     for key in ("medium", "law", "surface"):

@@ -19,7 +19,7 @@ from mjgranular.engine.sensor import SandReadings
 from mjgranular.envs.figures import Figures
 from mjgranular.envs.ground import converted_errors, put_on_sand, quiet
 from mjgranular.envs.known import creator_of, find_spec
-from mjgranular.envs.ranges import Sample, SandRanges, choices_of, ranges_of, told
+from mjgranular.envs.ranges import Sample, SandRanges, choices_of, ranges_of, sampled_info
 from mjgranular.envs.single import first_of
 from mjgranular.errors import InputError, UnknownArgumentError, UnknownNameError
 from mjgranular.sand.spec import SAND_FIELDS, SandSpec, combined
@@ -177,7 +177,7 @@ class OnSand(MujocoEnv):
         drawn = SimpleNamespace(**{k: np.array([value]) for k, value in vars(self._drawn).items()})
         read = self._figures.read(self._readings.read(self.data), drawn.active, drawn.slope)
         if self._ranges is not None:
-            read |= told(self._choices, drawn)
+            read |= sampled_info(self._choices, drawn)
         return first_of(read)
 
 

@@ -28,7 +28,7 @@ from mjgranular._util.registry import Registry
 from mjgranular.envs.dunes import DUNES, Dunes, add_dunes
 from mjgranular.envs.figures import Figures
 from mjgranular.envs.ground import put_on_sand
-from mjgranular.envs.ranges import Choice, Sample, SandRanges, choices_of, ranges_of, told
+from mjgranular.envs.ranges import Choice, Sample, SandRanges, choices_of, ranges_of, sampled_info
 from mjgranular.errors import shown
 from mjgranular.sand.spec import SAND_FIELDS
 from mjgranular.surface.choice import surface_of
@@ -333,7 +333,7 @@ class Task(SandSpec, ABC):
         info = self.place(state)
         info |= self.figures.read(state.sensordata, state.active, state.slope)
         if self.randomise is not None:
-            info |= told(self.choices, state)
+            info |= sampled_info(self.choices, state)
         return info
 
     def options(self) -> dict[str, Any]:

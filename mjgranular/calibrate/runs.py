@@ -65,7 +65,7 @@ class Body(Projectile):
             if not (is_finite(mass) and mass > 0):
                 raise InputError(f"the body's mass must be positive and finite, not {mass}")
             density = mass / Projectile(*sizes, 1.0, shape).mass
-        self.__dict__["is_heavy"] = density is not None
+        object.__setattr__(self, "is_heavy", density is not None)
         super().__init__(*sizes, _STEEL if density is None else density, shape)
 
 

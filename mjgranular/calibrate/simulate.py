@@ -277,8 +277,8 @@ def lowest_depth(body: Projectile, qpos: np.ndarray) -> float:
     return -(float(qpos[1]) + below)
 
 
-def push(run: Run, simulator: Simulator) -> Motion:
-    """Push at constant speed, with the sand's inertia: mean forces between rows.
+def forces_of_push(run: Run, simulator: Simulator, depths: np.ndarray) -> np.ndarray:
+    """Return the forces on a body pushed at constant speed, with the sand's inertia, at depths [N].
 
     The body is heavy and is put back on its path after each step; the force is the momentum that
     the sand took from it. Its weight is carried: if it fell during the step, the sand that moves
@@ -287,21 +287,24 @@ def push(run: Run, simulator: Simulator) -> Motion:
     data, timestep = simulator.data, simulator.model.opt.timestep
     weight = -float(simulator.model.body_subtreemass[0] * simulator.model.opt.gravity[2])
     assert isinstance(run.body, Projectile)
-    place = run.body.touching(run.angle)
-
-    def force_at(depth: float) -> float:
+    place, forces = run.body.touching(run.angle), []
+    for depth in depths:
         data.qpos[:], data.qvel[:], data.qacc_warmstart[:] = place, (0.0, -run.speed, 0.0), 0.0
         data.qpos[1] -= depth
         data.qfrc_applied[1] = weight
         simulator.step()
-        return _HEAVY_BODY * (data.qvel[1] + run.speed) / timestep
+        forces.append(_HEAVY_BODY * (data.qvel[1] + run.speed) / timestep)
+    return np.array(forces)
 
-    depths = run.motion.depth
-    force = [force_at(depths[0])]
+
+def _push(run: Run, simulator: Simulator) -> Motion:
+    """Push at constant speed: mean forces between rows."""
+    depths, step = run.motion.depth, run.speed * simulator.model.opt.timestep
+    force = [forces_of_push(run, simulator, depths[:1])[0]]
     for before, depth in pairwise(depths):
-        count = max(1, round(abs(depth - before) / (run.speed * timestep)))
+        count = max(1, round(abs(depth - before) / step))
         way = before + (depth - before) * (np.arange(count) + 0.5) / count
-        force.append(float(np.mean([force_at(at) for at in way])))
+        force.append(forces_of_push(run, simulator, way).mean())
     return Motion(depth=depths, speed=np.full(len(depths), run.speed), force=np.array(force))
 
 
@@ -375,7 +378,7 @@ def _walk(run: Run, simulator: Simulator) -> Motion:
 
 _MOVES: dict[str, Callable[[Run, Simulator], Motion]] = {
     "drop": _drop,
-    "push": push,
+    "push": _push,
     "place": place,
     "sink": _sink,
     "walk": _walk,

@@ -11,7 +11,13 @@ import numpy as np
 from mjgranular.calibrate.material import Material
 from mjgranular.calibrate.motion import Errors, Motion, compare, rms
 from mjgranular.calibrate.runs import Run
-from mjgranular.calibrate.simulate import Simulator, place, push, simulate_with, simulator_of
+from mjgranular.calibrate.simulate import (
+    Simulator,
+    forces_of_push,
+    place,
+    simulate_with,
+    simulator_of,
+)
 from mjgranular.errors import InputError, UnstableError, shown
 from mjgranular.models import Projectile
 
@@ -135,24 +141,18 @@ class PushTrial(RowsTrial):
             motion = Motion(depth=depth, speed=places, force=none)
         self._simulated = replace(run, motion=motion)
         self._simulator = simulator_of(self._simulated, "place")
-        self._pusher: Simulator | None = None
-        if run.kind == "intrude" and self._simulated.froude > _FAST:
-            # A push has mean forces between rows: with these they are those at `places`.
-            middles = (places[1:] + places[:-1]) / 2
-            ends = np.array([places[0], *middles, 2 * places[-1] - middles[-1]])
-            motion = Motion(depth=ends, force=np.zeros(len(ends)))
-            self._pushed = replace(run, motion=motion)
-            self._pusher = simulator_of(self._pushed, "push")
+        is_fast = run.kind == "intrude" and self._simulated.froude > _FAST
+        self._pusher = simulator_of(self._simulated, "push") if is_fast else None
 
     def simulate(self, material: Material) -> Motion:
         if self._pusher is not None and material.law.adds_mass:
             self._pusher.use(material)
-            found = push(self._pushed, self._pusher)
-            at = np.append(found.depth[0], (found.depth[1:] + found.depth[:-1]) / 2)
+            force = forces_of_push(self._simulated, self._pusher, self._simulated.motion.depth)
+            found = replace(self._simulated.motion, force=force)
         else:
             self._simulator.use(material)
             found = place(self._simulated, self._simulator)
-            at = getattr(found, self.axis)
+        at = getattr(found, self.axis)
         columns = {s.name: np.interp(self.places, at, getattr(found, s.name)) for s in self.series}
         return Motion(depth=self.places, **columns)
 

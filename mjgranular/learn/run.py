@@ -7,7 +7,7 @@ import math
 import shutil
 import sys
 from collections.abc import Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -181,8 +181,9 @@ def _with_absolute_paths(value: Any) -> Any:
         return [_with_absolute_paths(one) for one in value]
     if isinstance(value, str):
         path, gap, options = value.partition(" ")
-        if Path(path).suffix and Path(path).is_file():
-            return f"{Path(path).absolute()}{gap}{options}"
+        with suppress(OSError):  # of a name that is too long
+            if Path(path).suffix and Path(path).is_file():
+                return f"{Path(path).absolute()}{gap}{options}"
     return value
 
 

@@ -61,9 +61,8 @@ class Snapshot:
 def forget_after_reset(table):
     """Clear a surface's memory if time has gone back: the simulation starts over."""
     state = floats(table[memory.STATE], table[memory.STATE_SIZE])
-    time = floats(_records(table[memory.SNAPSHOT], 1)[0].state, 1)[
-        0
-    ]  # the first number of what is stored
+    stored = _records(table[memory.SNAPSHOT], 1)[0].state
+    time = floats(stored, 1)[0]  # its first number
     if time < state[TIME]:
         for k in range(len(state)):
             state[k] = 0.0

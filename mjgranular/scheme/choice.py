@@ -39,8 +39,8 @@ class Auto(SchemeChoice):
 schemes: Registry[type[SchemeChoice]] = Registry("scheme")
 """Scheme classes by name."""
 
-for kind in (Explicit, Implicit, Auto):
-    schemes.add(kind.name, kind)
+for _kind in (Explicit, Implicit, Auto):
+    schemes.add(_kind.name, _kind)
 
 
 def get_scheme(scheme: str | SchemeChoice) -> SchemeChoice:

@@ -59,9 +59,8 @@ def move_kernel(kernel: LawKernel) -> Any:
                 v = velocity_at(motion, read(tile, layout.ARM * lanes + lane))
                 p = update(sample, before, p, v - before, eps)
                 write(tile, layout.MULTIPLIER * lanes + lane, p)
-        write_all(
-            tile, layout.VELOCITY * lanes, velocity_at(motion, read_all(tile, layout.ARM * lanes))
-        )
+        arms = read_all(tile, layout.ARM * lanes)
+        write_all(tile, layout.VELOCITY * lanes, velocity_at(motion, arms))
         if multipliers == FRESH:
             for lane in range(lanes):
                 p = multiplier_of(read(tile, layout.VELOCITY * lanes + lane), loose)
@@ -277,9 +276,8 @@ def follow_kernel(kernel: LawKernel) -> Any:
     def follow(tile, motion, wrench, eps, stores):
         arm = read_all(tile, layout.ARM * lanes)
         change = velocity_at(motion, arm) - read_all(tile, layout.VELOCITY * lanes)
-        force = (
-            read_all(tile, layout.FORCE * lanes) - read_slopes(tile, layout.SLOPE * lanes) @ change
-        )
+        slopes = read_slopes(tile, layout.SLOPE * lanes)
+        force = read_all(tile, layout.FORCE * lanes) - slopes @ change
         if stores:
             write_all(tile, layout.FORCE * lanes, force)
         force = read_weight(tile, layout.WEIGHT * lanes) * force
@@ -324,10 +322,8 @@ def forces_program(kernel: LawKernel, law_dtype: np.dtype) -> Any:
         if task == FOLLOW:
             for i in range(own.count):
                 body, stores = own.heads[i].body, update != LAST
-                turn = follow(
-                    own.tiles[i], read_motion(w.motion[body], 0), w.wrench[body], eps, stores
-                )
-                most = max(most, turn)
+                motion = read_motion(w.motion[body], 0)
+                most = max(most, follow(own.tiles[i], motion, w.wrench[body], eps, stores))
         elif task == SUM:
             for i in range(own.count):
                 body = own.heads[i].body

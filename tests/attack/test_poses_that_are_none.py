@@ -63,6 +63,6 @@ LAWS = ("rft3d", "link_distributed")
 @pytest.mark.slow
 def test_a_body_that_is_nowhere(survive):
     cases = [*product(DOORS, SCHEMES, LAWS, LINES)]
-    told = dict(zip(cases, survive(SCRIPT, cases), strict=True))
+    found = dict(zip(cases, survive(SCRIPT, cases), strict=True))
     # A report of a pose that is no number need not warn.
-    assert not [case for case, text in told.items() if text == "silent" and case[0] != "report"]
+    assert not [case for case, text in found.items() if text == "silent" and case[0] != "report"]

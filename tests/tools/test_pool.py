@@ -204,7 +204,7 @@ def test_an_address_that_is_none(address, capfd):
     assert "HOST:PORT of its head" in capfd.readouterr().err
 
 
-def test_an_address_where_nobody_listens_is_told(capfd):
+def test_an_address_where_nobody_listens_is_an_error(capfd):
     pytest.importorskip("ray")
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
