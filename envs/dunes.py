@@ -40,7 +40,7 @@ class Dunes:
 
     def heights(self) -> np.ndarray:
         """Return heights on the height field's grid [m], shape (rows over y, columns over x)."""
-        count = 2 * round(10 * self.extent / self.wavelength) + 1
+        count = 2 * round(20 * self.extent / self.wavelength) + 1
         line = np.linspace(-self.extent, self.extent, count)
         return np.array([[self.height(x, y) for x in line] for y in line])
 

@@ -18,6 +18,7 @@ from mjgranular.medium import Medium, get_medium
 from mjgranular.relief.memory import as_memory
 from mjgranular.sand.material import medium_for
 from mjgranular.sand.spec import SandSpec, combined
+from mjgranular.surface.choice import surface_of
 
 SURFACES = ("plane", "dunes")
 """Surfaces that can be sampled: level apart from the slope, or fixed dunes at a random position."""
@@ -266,12 +267,16 @@ def sampled_info(choices: Sequence[Choice], state: Any) -> dict[str, np.ndarray]
 
 
 def choices_of(ranges: SandRanges | None, base: SandSpec, dunes: Any) -> list[Choice]:
-    """Return the sands that a model needs for these ranges."""
+    """Return the sands that a model needs for these ranges.
+
+    A `base` on the dunes themselves has these without ranges too.
+    """
     choices = []
+    own = "dunes" if base.surface is not None and surface_of(base.surface) == dunes else "plane"
     for medium in (ranges and ranges.media) or (base.medium,):
         for law in (ranges and ranges.laws) or (base.law,):
-            for name in (ranges and ranges.surfaces) or ("plane",):
-                surface = dunes if name == "dunes" else base.surface
+            for name in (ranges and ranges.surfaces) or (own,):
+                surface = dunes if name == "dunes" else base.surface if own == "plane" else None
                 sand = combined(base, {"medium": medium, "law": law, "surface": surface})
                 in_medium, own = medium, law
                 if medium is None and law is not None:

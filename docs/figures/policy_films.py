@@ -16,6 +16,7 @@ import mediapy
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
+from mjgranular import HeightField, Memory
 from mjgranular.envs.single import SandEnv
 from mjgranular.envs.velocity import G1Velocity, Go1Velocity, Go2Velocity
 from mjgranular.learn import environments
@@ -76,18 +77,21 @@ SHOWN = {
     "Hexapod": Shown("Hexapod-v0/ppo-0"),
     "Hopper": Shown("Hopper-v0/ppo-0"),
     "Ant": Shown("Ant-v0/ppo-0"),
-    "Go1": Shown("Go1Velocity-v0/ppo-0", seconds=9.0, begin=2.0, apart=3.0, count=3),
+    "Go1": Shown("Go1Velocity-v0/ppo-6", seconds=9.0, begin=2.0, apart=3.0, count=3),
     "Go2": Shown("Go2Velocity-v0/ppo-0", seconds=9.0, begin=2.0, apart=3.0, count=3),
     "G1": Shown("G1Velocity-v0/ppo-8", seconds=9.0, begin=2.0, apart=3.0, count=3),
 }
 
 
 def environment(policy: Policy) -> Any:
-    """The environment of a film; those of the Go1 and Go2 are larger, and their sand remembers."""
+    """The environment of a film; robots that follow commands leave prints, the Go1 on dunes."""
     name = policy.run.environment
     if name in FOLLOWING:
         history = policy.run.settings.environment.get("history", 0)
-        task = FOLLOWING[name](push_scale=0.0, memory=0.015, history=history)
+        sand: dict[str, Any] = {"memory": Memory(0.015, extent=5.0)}
+        if name == "mjgranular/Go1Velocity-v0":
+            sand["surface"] = HeightField("dunes")
+        task = FOLLOWING[name](push_scale=0.0, history=history, **sand)
         return SandEnv(task, render_mode="rgb_array", width=1280, height=720)
     size = {"width": WIDTH, "height": HEIGHT, "camera": None}
     arguments = dict(policy.run.settings.environment)

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from mjgranular.errors import InputError
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.fields import packed
 from mjgranular.kernel.lanes import aligned
@@ -51,7 +52,7 @@ class LawKernel:
     Attributes:
         element: `NamedTuple` of what the kernels read of an element: fields of the law's elements,
             declared as in `kernel.fields`.
-        samples: `NamedTuple` that describes an element in the sand: `depth` of its deepest point
+        samples: `NamedTuple` that describes an element in the sand, first `depth` of its deepest point
             [m], immersed `length` of a rod [m] or 0, `point` where force acts [m], and other inputs
             of `respond`.
         sample: kernel `sample(element, pose, law, surface, g)`: returns one of `samples`. If its
@@ -91,6 +92,14 @@ class LawKernel:
     complexity: Any = None
     respond_simple: Any = None
     added: Any = None
+
+    def __post_init__(self) -> None:
+        first = getattr(self.samples, "_fields", ())[:3]
+        if first != ("depth", "length", "point"):
+            raise InputError(
+                f"the first fields of {self.samples.__name__} must be depth, length and point, in "
+                f"this order, not {', '.join(first)}"
+            )
 
     def pack(self, elements: np.ndarray) -> np.ndarray:
         """Return the elements as a program reads them, shape (tiles, numbers of an element, lanes).

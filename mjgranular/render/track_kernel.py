@@ -60,7 +60,7 @@ and the lower edge of its walls, over the plane; 0 for none [m]."""
 
 _HAIR = 0.02  # distance of hidden vertices under rectangles [cells]
 _ENDS = 5.0  # nodes at the edge of a window over which tracks fade out
-_SLOPE = 20.0  # the same where the window descends to a lower field
+_SLOPE = 0.25  # the same where the window descends to a lower field, in sides of the window
 _BEYOND = (3.0, 10.0, 64.0)  # ends of rectangles beyond the window, in units: small ones are near
 _FAR = 1 << 19  # nodes: beyond all node numbers
 
@@ -194,6 +194,9 @@ def shape_kernel(probe: Any, is_flat: bool, dtype: np.dtype) -> Any:
                 blocks[a * side + b] = 0
                 u, v = first_i * cell + a * width, first_j * cell + b * width
                 if a == 0 or b == 0 or a == side - 1 or b == side - 1:
+                    if not is_flat:  # what joins the ends of the window must be under these
+                        i, j = first_i + a * BLOCK, first_j + b * BLOCK
+                        lowest = min(lowest, place(canvas, relief, i, j)[2])
                     continue
                 if canvas.bounded and not (
                     u < canvas.high[0] and v < canvas.high[1]
@@ -263,7 +266,8 @@ def shape_kernel(probe: Any, is_flat: bool, dtype: np.dtype) -> Any:
                     near = min(min(a, n - a), min(b, n - b)) - BLOCK
                     u, v, z = place(canvas, relief, i, j)
                     z += sand_at(canvas, relief, state, i, j) * within(near / _ENDS, 0.0, 1.0)
-                    z += canvas.sunk * (1.0 - within(near / _SLOPE, 0.0, 1.0))
+                    high = within(near / (_SLOPE * n), 0.0, 1.0)
+                    z += canvas.sunk * (1.0 - high * high * (3.0 - 2.0 * high))
                     z -= 0.0 if seen else hair
                 else:
                     middle = BLOCK // 2 - 1
@@ -277,7 +281,7 @@ def shape_kernel(probe: Any, is_flat: bool, dtype: np.dtype) -> Any:
                         v = within(v, canvas.low[1] + cell, canvas.high[1] - cell)
                     # Triangles that join the ends of the window are under everything visible.
                     if row == 0 or column == 0 or row == side - 1 or column == side - 1:
-                        z = lowest - cell
+                        z = lowest + canvas.sunk - cell
                 put(vertices, number, relief, u, v, z)
 
     @compiled

@@ -23,6 +23,9 @@ def material_of(model: mujoco.MjModel, spec: SandSpec) -> tuple[Medium, Law]:
     With a medium alone the law is the medium's default; with a law alone the medium is one that has
     constants for it. With neither, the law is the one that the model names in its custom text
     `LAW_TEXT`, as the package's link does, else that of `DEFAULT_MEDIUM`.
+
+    Raises:
+        InputError: the density of the medium is changed, and the law does not depend on it.
     """
     law = spec.law
     if spec.medium is None and law is None:
@@ -31,7 +34,17 @@ def material_of(model: mujoco.MjModel, spec: SandSpec) -> tuple[Medium, Law]:
         medium = get_medium(spec.medium)
     else:
         medium = media[DEFAULT_MEDIUM] if law is None else medium_for(law)
-    return medium, get_law(law, medium)
+    found = get_law(law, medium)
+    name, mark, _ = str(spec.medium).partition(" density=")
+    if mark:
+        before = get_medium(name)
+        numbers = get_law(law, before).parameters(before)
+        if numbers.tobytes() == found.parameters(medium).tobytes():
+            raise InputError(
+                f"{spec.medium!r}: the density of the medium has no effect under {found.name}, "
+                'whose own one counts, as in "rft3d density=1500"'
+            )
+    return medium, found
 
 
 def law_named_in(model: mujoco.MjModel) -> str | None:

@@ -137,7 +137,7 @@ def test_dunes_are_where_they_say():
         away = mujoco.mj_rayHfield(model, data, geom, start, down, None)
         assert 5.0 - away == pytest.approx(dunes.height(x, y), abs=2e-3)
     heights = Dunes().heights()
-    slope = np.hypot(*np.gradient(heights, 0.4))
+    slope = np.hypot(*np.gradient(heights, 0.2))
     assert math.atan(slope.max()) <= Dunes().steepest + 1e-3
     assert math.atan(slope.max()) > 0.5 * Dunes().steepest
     assert env.reset(seed=0)[1]["sand/valid"] is True
