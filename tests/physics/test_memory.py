@@ -427,6 +427,11 @@ def test_reset_and_release_forget() -> None:
     assert sand.relief(data).height.min() < -0.005
     mujoco.mj_resetData(sand.model, data)
     data.qpos[2] = 0.06
+    # Before the first step too.
+    assert not sand.relief(data).height.any()
+    assert not sand.save_memory(data).any()
+    untouched = Sand(sand.model, sand.spec).report(data)
+    assert sand.report(data).bodies[0].depth == untouched.bodies[0].depth
     np.testing.assert_array_equal(run(sand, data, 300), first)
     sand.release(data)
     assert not sand.relief(data).height.any()
