@@ -337,8 +337,7 @@ class Sand:
         if failed != FINE:
             raise self._failure(data, failed, binding)
         probe.time = data.time
-        pull = model.opt.gravity
-        weightless = model.opt.disableflags & NO_GRAVITY
+        pull, weightless = model.opt.gravity, model.opt.disableflags & NO_GRAVITY
         if not np.array_equal(pull, self._pull):
             self._slope, self._pull = self._sand.surface.tilt(model), pull.copy()
         report = describe(
