@@ -107,8 +107,10 @@ def press_kernel(level: Any, is_flat: bool) -> Any:
     read, write, room = rows(Skin, LANES).read, rows(float, LANES).write, scratch(5 * LANES)
 
     @compiled
-    def press_at(state, relief, z, u, v, slope_u, slope_v):
+    def press_at(state, relief, place, lane):
         """Press at one point, from its position and the slopes of the body's surface there."""
+        z, u, v = place[lane], place[LANES + lane], place[2 * LANES + lane]
+        slope_u, slope_v = place[3 * LANES + lane], place[4 * LANES + lane]
         if not is_sand(relief, u, v):
             return 0.0
         cell, size, blocks = relief.cell, relief.size, relief.blocks
@@ -155,15 +157,7 @@ def press_kernel(level: Any, is_flat: bool) -> Any:
         volume = 0.0
         for lane in range(LANES):
             if place[lane] < highest:
-                volume += press_at(
-                    state,
-                    relief,
-                    place[lane],
-                    place[LANES + lane],
-                    place[2 * LANES + lane],
-                    place[3 * LANES + lane],
-                    place[4 * LANES + lane],
-                )
+                volume += press_at(state, relief, place, lane)
         return volume
 
     return press
@@ -271,7 +265,7 @@ def gains_of(a, b, up, tangent, ahead, beside, rate):
 
 @cache
 def flow_kernel(level: Any, is_flat: bool) -> Any:
-    """Make a kernel `flow(state, relief, rate)`: sand flows down where it is too steep.
+    """Make a kernel `flow(state, relief, up, rate)`: sand flows down where it is too steep.
 
     Nothing flows from or to a node under a body. The kernel `level` is of `level_kernel`.
     """
@@ -313,14 +307,13 @@ def flow_kernel(level: Any, is_flat: bool) -> Any:
         gained[beside] += h
 
     @compiled
-    def flow(state, relief, rate):
+    def flow(state, relief, up, rate):
         cell, size, blocks, tangent = relief.cell, relief.size, relief.blocks, relief.repose
         has_edge, per_cell = has_edges(relief), 1.0 / cell
         heights = grid.start_of(size, grid.HEIGHT)
         # Start of the list of active places, which runs backward.
         end = grid.start_of(size, grid.LISTS) + size * size - 1
-        area, up = cell * cell, vector(relief.along[2], relief.across[2], relief.normal[2])
-        numbers = room()
+        area, numbers = cell * cell, room()
         around, gained = numbers[:9], numbers[9:]
         count, kept, highest = grid.count_at(state, size, grid.ACTIVE), 0, 0.0
         for n in range(count):
@@ -460,10 +453,8 @@ def update_kernel(probe: Any, is_flat: bool, dtype: np.dtype) -> Any:
         state = floats(relief.state, state_length(size))
         feet = _feet(relief.feet, relief.foot_count)
         options = options_at(table)
-        g = options.gravity
-        g = 0.0 if options.disableflags & NO_GRAVITY else math.sqrt(
-            g[0] * g[0] + g[1] * g[1] + g[2] * g[2]
-        )  # fmt: skip
+        gravity = read_vector(options.gravity, 0)
+        g = 0.0 if options.disableflags & NO_GRAVITY else norm(gravity)
         passed = options.timestep * math.sqrt(g / relief.cell)
         state[grid.SINCE_PRESSED] += passed
         state[grid.SINCE_FLOWED] += passed
@@ -494,7 +485,10 @@ def update_kernel(probe: Any, is_flat: bool, dtype: np.dtype) -> Any:
         has_changed = state[grid.PRESSED] > pressed or has_sand_to_move
         state[grid.SETTLES] = 0.0 if has_changed else 1.0
         if flows:
-            flow(state, relief, min(state[grid.SINCE_FLOWED], FASTEST))
+            axes, _ = pose_in_plane(table, relief, 0)
+            up = axes @ (-1.0 / norm(gravity) * gravity)
+            if up.z > 0.0:  # else gravity pulls out of the sand
+                flow(state, relief, up, min(state[grid.SINCE_FLOWED], FASTEST))
             state[grid.SINCE_FLOWED] = 0.0
         return 1
 

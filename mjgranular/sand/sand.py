@@ -242,11 +242,11 @@ class Sand:
         Raises:
             InputError: the sand has no memory.
         """
-        surface, state = self._remembering(), self._state_of(data)
+        surface = self._remembering()
         if middle is None:
             places = data.xpos[np.unique(self._sand.elements["body"])]
             middle = place_in_plane(surface.base, self._model, places.mean(axis=0))
-        return heights_of(state, surface.memory, middle)
+        return heights_of(self._state_of(data), surface.memory, middle)
 
     def save_memory(self, data: mujoco.MjData) -> np.ndarray:
         """Return the memory of a simulation's sand as an array, for `restore_memory`.
@@ -258,7 +258,8 @@ class Sand:
         Raises:
             InputError: the sand has no memory.
         """
-        return self._state_of(data).copy()
+        self._remembering()
+        return self._state_of(data)
 
     def restore_memory(self, data: mujoco.MjData, saved: np.ndarray) -> None:
         """Restore the memory of a simulation's sand, also one saved by another process.
@@ -271,7 +272,8 @@ class Sand:
             InputError: the sand has no memory; or the array has a wrong size or numbers that are
                 not finite, and then nothing is changed.
         """
-        state = self._state_of(data)
+        self._remembering()
+        state = self._bind(data).state
         state[:] = checked_state(saved, len(state))
         state[TIME] = data.time
 
@@ -282,9 +284,12 @@ class Sand:
         return surface
 
     def _state_of(self, data: mujoco.MjData) -> np.ndarray:
-        """Return the state of the memory in a simulation, not a copy."""
-        self._remembering()
-        return self._bind(data).state
+        """Return the memory in a simulation, a copy; zeros before a first step or after a reset."""
+        self._check_owner(data)
+        binding = self._bindings.get(data)
+        if binding is None or (binding.state[TIME : TIME + 1] > data.time).any():
+            return np.zeros(self._sand.surface.state_size)
+        return binding.state.copy()
 
     def report(self, data: mujoco.MjData) -> Report:
         """Report the sand's action at the state in `data` (`qpos`, `qvel`), which is not changed.
@@ -324,7 +329,7 @@ class Sand:
         mujoco.mj_fwdVelocity(model, probe)
         binding.bodies["last_wrench"] = np.nan  # what is there now is the user's
         bound = self._bindings.get(data)
-        binding.state[:] = 0.0 if bound is None else bound.state
+        binding.state[:] = self._state_of(data)
         counts = None if bound is None else bound.workspace.statistics
         beside = self._act_beside(data, probe, lead)
         binding.table[BESIDE] = beside[-1].address if beside else 0
@@ -332,8 +337,7 @@ class Sand:
         if failed != FINE:
             raise self._failure(data, failed, binding)
         probe.time = data.time
-        pull = model.opt.gravity
-        weightless = model.opt.disableflags & NO_GRAVITY
+        pull, weightless = model.opt.gravity, model.opt.disableflags & NO_GRAVITY
         if not np.array_equal(pull, self._pull):
             self._slope, self._pull = self._sand.surface.tilt(model), pull.copy()
         report = describe(
@@ -400,7 +404,7 @@ class Sand:
             if theirs is not None and theirs.joins and any(share is theirs for share in shares):
                 binding = bind(self._model, probe, other._sand)
                 binding.table[UPDATE] = 0
-                binding.state[:] = theirs.state
+                binding.state[:] = other._state_of(data)
                 binding.table[BESIDE] = acted[-1].address if acted else 0
                 other._guarded(other._program, binding.address, lead)
                 acted.append(binding)

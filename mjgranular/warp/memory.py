@@ -86,9 +86,8 @@ class WarpMemory:
             self._launch(kernel, over_nodes, relief, work)
         self._launch(update.keep, (worlds, feet), relief, work)
         # Squares of one pass share no node.
-        for first_row in (0, 1):
-            for first_column in (0, 1):
-                self._launch(self._flow, over_nodes, self._leveled, work, first_row, first_column)
+        for first in np.ndindex(2, 2):
+            self._launch(self._flow, over_nodes, m.opt.gravity, self._leveled, work, *first)
         self._launch(update.sum_up, (worlds, blocks * blocks), relief, work)
 
     def volumes(self) -> dict[str, np.ndarray]:

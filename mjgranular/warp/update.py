@@ -182,11 +182,10 @@ _UNWANTED = wp.constant(wp.int64(UNWANTED))
 
 
 @wp.func
-def place_of(relief: Any, position: wp.vec3):
-    """Return a point along the axes of the plane under the heights [m]."""
-    place = position - relief.origin
+def in_axes(relief: Any, away: wp.vec3):
+    """Return the components of a vector along the axes of the plane under the heights."""
     return wp.vec3(
-        wp.dot(place, relief.along), wp.dot(place, relief.across), wp.dot(place, relief.normal)
+        wp.dot(away, relief.along), wp.dot(away, relief.across), wp.dot(away, relief.normal)
     )
 
 
@@ -215,7 +214,7 @@ def press_kernel(relief_struct: Any, level: Any) -> Any:
         for n in range(lane, skin.shape[0], LANES):
             each = skin[n]
             turn, origin = xmat[world, each.body], xpos[world, each.body] - lift
-            place = place_of(relief, origin + turn * each.point)
+            place = in_axes(relief, origin + turn * each.point - relief.origin)
             work.places[world, each.foot] = place
             u, v = place[0], place[1]
             slope_u, slope_v = float(0.0), float(0.0)
@@ -254,8 +253,7 @@ def settle(surface: PlainRelief, work: Work):
     relief = in_world(surface, world)
     grid, cell, size = relief.state, relief.cell, relief.size
     for n in range(lane, size * size, LANES):
-        row = n // size
-        column = n - row * size
+        row, column = n // size, n % size
         number = work.wanted[world, row, column]
         work.foot[world, row, column] = wp.where(work.foot[world, row, column] >= 0, LEFT, NOTHING)
         if work.task[world] == BEGINS:
@@ -294,8 +292,7 @@ def edge(surface: PlainRelief, work: Work):
         return
     size = surface.size
     for n in range(lane, size * size, LANES):
-        row = n // size
-        column = n - row * size
+        row, column = n // size, n % size
         if work.foot[world, row, column] < 0:
             continue
         has_sand = int(0)
@@ -317,8 +314,7 @@ def surround(surface: PlainRelief, work: Work):
     foot, cell, size = work.foot, relief.cell, relief.size
     has_edge = _has_edges(relief)
     for n in range(lane, size * size, LANES):
-        row = n // size
-        column = n - row * size
+        row, column = n // size, n % size
         if foot[world, row, column] != NOTHING:
             continue
         nearest, found = int(9), int(NOTHING)
@@ -356,8 +352,7 @@ def heap(surface: PlainRelief, work: Work):
     relief = in_world(surface, world)
     grid, cell, size = relief.state, relief.cell, relief.size
     for n in range(lane, size * size, LANES):
-        row = n // size
-        column = n - row * size
+        row, column = n // size, n % size
         code = BESIDE - work.foot[world, row, column]
         if code < 0:
             continue
@@ -386,7 +381,13 @@ def flow_kernel(relief_struct: Any, level: Any) -> Any:
     level_at = translated(level)
 
     @wp.kernel(module="unique", enable_backward=False)
-    def flow(surface: relief_struct, work: Work, first_row: int, first_column: int):
+    def flow(
+        gravity: wp.array(dtype=wp.vec3),
+        surface: relief_struct,
+        work: Work,
+        first_row: int,
+        first_column: int,
+    ):
         """Level the steepest triangles of every other square along both axes.
 
         Sand does not flow over stored heights that belong to another tile.
@@ -397,7 +398,9 @@ def flow_kernel(relief_struct: Any, level: Any) -> Any:
         relief = in_world(surface, world)
         grid, cell, size = relief.state, relief.cell, relief.size
         has_edge = _has_edges(relief)
-        up = wp.vec3(relief.along[2], relief.across[2], relief.normal[2])
+        up = in_axes(relief, -wp.normalize(gravity[world % gravity.shape[0]]))
+        if up[2] <= 0.0:  # gravity pulls out of the sand
+            return
         flat_a, flat_b = -up[0] / up[2], -up[1] / up[2]
         half = size // 2
         for n in range(lane, half * half, LANES):

@@ -352,6 +352,30 @@ def test_direction_against_the_grid_and_size_of_cells_matter_little() -> None:
     assert ploughed(0.0, cell=0.005) == pytest.approx(straight, rel=0.002)
 
 
+@pytest.mark.parametrize("turn", ["180 0 0", "90 0 0", "0 40 0"])
+def test_sand_flows_along_gravity(turn: str) -> None:
+    """A crater in a tray that is turned with gravity is that of a level tray."""
+
+    def crater(turn: str) -> np.ndarray:
+        spec = mujoco.MjSpec.from_string(
+            f"""<mujoco><option timestep="2e-3"/><worldbody>
+            <body name="tray" euler="{turn}"><geom name="bed" type="box" size="1 1 1"/></body>
+            <body><freejoint/>{BALL}</body></worldbody></mujoco>"""
+        )
+        model = spec.compile()
+        data = mujoco.MjData(model)
+        mujoco.mj_kinematics(model, data)
+        axes = data.body("tray").xmat.reshape(3, 3)
+        spec.option.gravity, spec.bodies[-1].pos = -9.81 * axes[:, 2], 1.025 * axes[:, 2]
+        model = spec.compile()
+        sand, data = Sand(model, surface=Bed("bed"), memory=memory()), mujoco.MjData(model)
+        data.qvel[:3] = -2.0 * axes[:, 2]
+        run(sand, data, 300)
+        return sand.relief(data, (0.0, 0.0)).height
+
+    np.testing.assert_allclose(np.ptp(crater(turn)), np.ptp(crater("0 0 0")), rtol=0.03)
+
+
 def test_size_of_the_bed_makes_no_difference() -> None:
     curves = [
         Pushed(bed=bed, surface=Bed("tray"), instead_of=None, memory=memory()).press(0.0, 0.02)
@@ -403,6 +427,11 @@ def test_reset_and_release_forget() -> None:
     assert sand.relief(data).height.min() < -0.005
     mujoco.mj_resetData(sand.model, data)
     data.qpos[2] = 0.06
+    # Before the first step too.
+    assert not sand.relief(data).height.any()
+    assert not sand.save_memory(data).any()
+    untouched = Sand(sand.model, sand.spec).report(data)
+    assert sand.report(data).bodies[0].depth == untouched.bodies[0].depth
     np.testing.assert_array_equal(run(sand, data, 300), first)
     sand.release(data)
     assert not sand.relief(data).height.any()
