@@ -178,6 +178,9 @@ DATA = {
         "time,depth [mm],depth_m\n0,0,0\n0.01,1,2\n"
     ),
     "begins with numbers": lambda place: (place / "slow.csv").write_text("0,0\n0.01,1\n"),
+    "more cells than headings": lambda place: (place / "slow.csv").write_text(
+        "time,depth\n0,0,0,0\n0,01,0,001\n"  # decimal commas: 1 and 0 without this error
+    ),
     "a quote may not be closed": lambda place: (place / "slow.csv").write_text(
         'time,depth\n"0,0\n' + "0.01,1\n" * 20_000
     ),
