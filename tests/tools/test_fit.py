@@ -188,6 +188,13 @@ DATA = {
 }
 
 
+def test_a_switch_of_the_law_is_in_the_medium(place):
+    runs(place, "{base: quikrete_medium}")
+    command = ["fit", "runs.yaml", "--free", "strength", "--hold-out", "fast", "--out", "m.yaml"]
+    assert main([*command, "--law", "rft3d_dynamic rise=true"]) == 0
+    assert get_law(None, get_medium("m.yaml")).rise is True
+
+
 @pytest.mark.parametrize("said", DATA)
 def test_data_that_cannot_be(said, place, capsys):
     DATA[said](place)
