@@ -68,7 +68,7 @@ def spread_of(
     special = require("scipy.special", extra="fit", purpose="Fitting")
     J = jacobian * scale
     _, s, Vt = np.linalg.svd(J, full_matrices=False)
-    inverse = (Vt.T / np.maximum(s, SMALLEST * max(s[0], 1e-300)) ** 2) @ Vt
+    inverse = (Vt.T / np.maximum(s, SMALLEST * max(s[0], 1e-140)) ** 2) @ Vt
     leverage = np.clip(np.einsum("ij,jk,ik->i", J, inverse, J), 0.0, 0.9)
     alike, each = np.zeros_like(inverse), np.zeros_like(inverse)
     count = 0.0
@@ -86,7 +86,7 @@ def spread_of(
     if len(runs) >= _RUNS:
         between = np.sqrt(_jackknife(J, residual, runs))
         half = np.maximum(half, float(special.stdtrit(len(runs) - 1, 0.975)) * between)
-    flat = Vt[s < _FLAT * s[0]]
+    flat = Vt[s <= _FLAT * s[0]]
     half = np.where((np.abs(flat) > _LEAST_FLAT).any(axis=0), np.inf, half * scale)
     size = np.sqrt(np.diag(inverse))
     return half, np.clip(inverse / np.outer(size, size), -1.0, 1.0)
@@ -163,11 +163,11 @@ def information_of(jacobian: np.ndarray, scale: np.ndarray) -> np.ndarray:
 def collinear(information: np.ndarray) -> np.ndarray:
     """Return the multiple correlation of each constant with the others, shape (constants,)."""
     values, vectors = np.linalg.eigh(information)
-    least = max(values.max(), 1e-300) * SMALLEST**2
+    least = max(values.max(), 1e-140) * SMALLEST**2
     covariance = (vectors / np.maximum(values, least)) @ vectors.T
     own = np.diag(information)
     square = 1 - 1 / np.maximum(own * np.diag(covariance), 1.0)
-    silent = own <= SMALLEST**2 * max(own.max(), 1e-300)
+    silent = own <= SMALLEST**2 * max(own.max(), 1e-140)
     return np.where(silent, 1.0, np.sqrt(np.maximum(square, 0.0)))
 
 

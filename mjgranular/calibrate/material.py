@@ -170,9 +170,9 @@ class Material:
 
     def constants(self) -> dict[str, float]:
         """Return the law's constants that a medium must have: all but defaults."""
-        every = fields(self.law)  # pyright: ignore[reportArgumentType]
-        defaults = {field.name: field.default for field in every}
-        values = {name: float(getattr(self.law, name)) for name in self._numbers}
+        defaults = {f.name: f.default for f in fields(self.law)}  # pyright: ignore[reportArgumentType]
+        kept = [k for k, v in defaults.items() if k in self._numbers or isinstance(v, bool)]
+        values = {name: float(getattr(self.law, name)) for name in kept}
         return {
             name: value
             for name, value in values.items()

@@ -97,7 +97,7 @@ def _constants_of(kind: type[Law], medium: Medium) -> dict[str, Quantity]:
         return dict(medium.constants.get(_table(kind), {}))
     law = kind.from_medium(medium)
     return {
-        name: replace(quantity, value=getattr(law, name))
+        name: replace(quantity, value=float(getattr(law, name)))
         for name, quantity in medium.constants[key].items()
     }
 

@@ -59,19 +59,18 @@ def read_table(
         ]
     except csv.Error as error:
         raise InputError(f"{name} is not a table: {error}; a quote may not be closed") from None
-    if not rows:
-        raise InputError(f"{name} is empty: a table has a line of headings and rows of numbers")
+    if len(rows) < 2:
+        raise InputError(f"{name} must have a line of headings and rows of numbers below it")
     headings = [cell.strip() for cell in rows[0][1]]
     if len(headings) == 1 and any(mark in headings[0] for mark in ";\t"):
         raise InputError(
             f"{name} has no commas: columns are separated by commas, and numbers have points"
         )
     if None not in map(parse_number, headings):
-        raise InputError(
-            f"{name} begins with numbers: its first line must name the columns, such as time,depth"
-        )
-    if len(rows) == 1:
-        raise InputError(f"{name} has headings and no row of numbers")
+        raise InputError(f"{name} begins with numbers: its first line must name the columns")
+    for line, row in rows[1:]:
+        if any(map(str.strip, row[len(headings) :])):
+            raise InputError(f"{name}, line {line}: more cells than headings; numbers have points")
     places = {column: _find(headings, column, columns.get(column), name) for column in known}
     for column in needed:
         if places[column] is None:

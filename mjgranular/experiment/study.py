@@ -300,7 +300,7 @@ def journal_of(study: Study, folder: Path | None) -> Journal:
     """Return the journal of a study in a folder; None for a temporary file."""
     check_kind(study, Study, "journal_of")
     # With the contents of files, since an edited model makes another study.
-    asked = {**study.config(), "files": digest(study)}
+    asked = {**study.config(), "model, law or medium": digest(study)}
     return Journal(folder, asked, len(study))
 
 

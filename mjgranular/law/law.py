@@ -167,7 +167,8 @@ def constants_of(law: type[Law], medium: Medium | str, name: str | None = None) 
             raise InputError(
                 f"medium {medium.name!r}: the law {law.name!r} needs the constant {field.name!r}"
             )
-    return constants
+    switches = [field.name for field in known if isinstance(field.default, bool)]
+    return {k: bool(v) if k in switches and v in (0, 1) else v for k, v in constants.items()}
 
 
 def make_scene(law: Law, medium: Medium, surface: Surface, model: mujoco.MjModel) -> np.ndarray:

@@ -76,7 +76,7 @@ class Settings:
             value = getattr(self, name)
             if name in _TABLES:
                 if not isinstance(value, Mapping) or not all(str(k).isidentifier() for k in value):
-                    raise InputError(f"{name} must be a table of names and values")
+                    raise InputError(f"{name} must be a table of values by names without dots")
             elif name == "net":
                 if not fits(value, kind) or any(width < 1 for width in value):
                     raise InputError(

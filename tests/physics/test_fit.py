@@ -122,6 +122,15 @@ def test_density_and_friction_of_rft3d_are_known_by_their_product_alone():
     assert result.intervals["density"] == (10.0, 25000.0)  # all that a medium may have
 
 
+def test_a_constant_without_effect_is_not_determined():
+    depth = np.linspace(0.002, 0.03, 10)  # a level plate pushed down does not know friction
+    plate = Body("plate", 0.005, length=0.02)
+    push = Run("push", "intrude", {"depth": depth, "force": 100 * depth}, body=plate)
+    result = run_fit(Fit((push,), RFT, ("surface_friction",)))
+    assert result.intervals == {"surface_friction": (0.0, None)}
+    assert result.identifiable == {"surface_friction": False}
+
+
 def test_strength_is_what_a_plate_says():
     """A flat plate moving down: 0.87574 xi_n g A z (Agarwal et al. 2023), sides and all aside."""
     depth = np.linspace(0.002, 0.03, 15)

@@ -178,11 +178,21 @@ DATA = {
         "time,depth [mm],depth_m\n0,0,0\n0.01,1,2\n"
     ),
     "begins with numbers": lambda place: (place / "slow.csv").write_text("0,0\n0.01,1\n"),
+    "more cells than headings": lambda place: (place / "slow.csv").write_text(
+        "time,depth\n0,0,0,0\n0,01,0,001\n"  # decimal commas: 1 and 0 without this error
+    ),
     "a quote may not be closed": lambda place: (place / "slow.csv").write_text(
         'time,depth\n"0,0\n' + "0.01,1\n" * 20_000
     ),
     "slow.csv": lambda place: (place / "slow.csv").unlink(),
 }
+
+
+def test_a_switch_of_the_law_is_in_the_medium(place):
+    runs(place, "{base: quikrete_medium}")
+    command = ["fit", "runs.yaml", "--free", "strength", "--hold-out", "fast", "--out", "m.yaml"]
+    assert main([*command, "--law", "rft3d_dynamic rise=true"]) == 0
+    assert get_law(None, get_medium("m.yaml")).rise is True
 
 
 @pytest.mark.parametrize("said", DATA)

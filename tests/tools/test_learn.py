@@ -519,6 +519,7 @@ def test_mistakes_in_settings_are_told(text, message, tmp_path):
         (["train", ID, "--settings", "none.toml"], "cannot read the settings none.toml"),
         (["train", ID, "--set", "gamma"], "NAME=VALUE"),
         (["train", ID, "--set", "environment.foo=3"], "cannot be made"),
+        (["train", ID, "--set", "environment.a.b=3"], "names without dots"),
         (["train", ID, "--set", "learning_rate=-1"], "ppo: "),
         (["train", ID, "--seed", "-1"], "seed must be"),
         (["train", "CartPole-v1", "--algorithm", "sac"], "sac needs actions"),

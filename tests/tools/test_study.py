@@ -157,6 +157,23 @@ def test_a_grid_of_two_fields_is_written_and_drawn(tmp_path, capfd):
     assert [row["depth"] for row in told] == [float(row["depth"]) for row in rows]
 
 
+def test_an_unfinished_one_of_another_model_is_named(tmp_path):
+    from mjgranular.experiment import journal_of
+
+    model = tmp_path / "ball.xml"
+    faults = []
+    for radius in (0.02, 0.03):
+        model.write_text(
+            "<mujoco><worldbody><body><freejoint/>"
+            f"<geom size='{radius}'/></body></worldbody></mujoco>"
+        )
+        journal = journal_of(Study(Drop(model), {"velocity": [1.0]}), tmp_path)
+        faults.append(journal.fault())
+        journal.keep(0, {"depth": 0.01})
+        journal.close()
+    assert faults[1] == "it was begun with another model, law or medium"
+
+
 def test_an_unfinished_one_goes_on_and_another_does_not(tmp_path, capfd):
     from mjgranular.experiment import journal_of
 
