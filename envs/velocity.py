@@ -516,7 +516,7 @@ class Go1Velocity(Task):
         speed = np.sqrt(np.square((feet - feet_before)[:, :, :2] / self.dt).sum(axis=2))
         height = self.once(state, "heights", self._heights)
         lift = self.gait.swing * self._clock(state)[:, :1] * self._pairs
-        stray = np.where(lift > 0.0, height - lift, np.maximum(height, 0.0))
+        stray = np.where(lift > 1e-9, height - lift, np.maximum(height, 0.0))
         change = state.userdata[:, _ACTION] - last
         slip = np.where(height < 0.0, np.square(speed), 0.0)
         linear = command * [1.0, 1.0, 0.0] - velocity

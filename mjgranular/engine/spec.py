@@ -66,16 +66,24 @@ def add_sand(
     instance = spec.add_plugin(name=name, plugin_name=NAME, active=True)
     instance.config = config
     _attach(spec, name)
+    if (bed := _bed_of(spec, sand)) is not None:  # so that no other sand warns of its contacts
+        bed.contype = bed.conaffinity = 0
     if "surface" in config.get("draw", "").split():
         show_surface(spec, sand)
         show_prints(spec, sand, name)
     return instance
 
 
+def _bed_of(spec: mujoco.MjSpec, sand: SandSpec) -> mujoco.MjsGeom | None:
+    """Return the geom that is the sand, if one is."""
+    surface = surface_of(sand.surface)
+    return spec.geom(surface.geom) if isinstance(surface, Bed | HeightField) else None
+
+
 def show_surface(spec: mujoco.MjSpec, sand: SandSpec) -> None:
     """Set the appearance of a model's geoms: those that are sand, and those that it replaces."""
     material = add_material(spec)
-    if isinstance(sand.surface, Bed | HeightField) and (bed := spec.geom(sand.surface.geom)):
+    if (bed := _bed_of(spec, sand)) is not None:
         paint(bed, material)
     of_world = spec.worldbody.geoms  # these have the lowest ids
     for name in names_in(sand.instead_of):

@@ -52,9 +52,9 @@ class LawKernel:
     Attributes:
         element: `NamedTuple` of what the kernels read of an element: fields of the law's elements,
             declared as in `kernel.fields`.
-        samples: `NamedTuple` that describes an element in the sand, first `depth` of its deepest point
-            [m], immersed `length` of a rod [m] or 0, `point` where force acts [m], and other inputs
-            of `respond`.
+        samples: `NamedTuple` that describes an element in the sand: first `depth` of its deepest
+            point [m], immersed `length` of a rod [m] or 0, `point` where force acts [m]; then other
+            inputs of `respond`.
         sample: kernel `sample(element, pose, law, surface, g)`: returns one of `samples`. If its
             depth is not positive the element is dry, and the rest is not read.
         respond: kernel `respond(sample, law, g, v, p, eps)`: static resistance F(p) [N] for the

@@ -19,7 +19,7 @@ from mjgranular.law.validity import Finding, Limit, findings_of
 from mjgranular.medium import Medium, get_medium
 from mjgranular.surface import Surface
 
-laws: Registry[type["Law"]] = Registry("law", "import its module, for a command by --law module:Class")
+laws: Registry[type["Law"]] = Registry("law", "import its module; commands: --law module:Class")
 """Law classes by name."""
 
 

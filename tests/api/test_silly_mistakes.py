@@ -23,6 +23,7 @@ from mjgranular.experiment import (
 )
 from mjgranular.experiment.drop import Drop, run_drop
 from mjgranular.experiment.intrusion import Intrusion, run_intrusion
+from mjgranular.law.kernel import LawKernel, Level
 from mjgranular.medium.file import read_medium
 from mjgranular.models import Link, model_path
 from mjgranular.relief.memory import heights_of
@@ -365,6 +366,14 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     "density of a medium": (
         lambda: mg.Medium(name="a", title="a", density=1500, default_law="link", constants={}),
         "medium 'a': the bulk density is a Quantity(value",
+    ),
+    "density without effect": (
+        lambda: mg.Sand(MODEL, medium="quikrete_medium density=3000"),
+        "the density of the medium has no effect under rft3d_dynamic",
+    ),
+    "sample without a length": (
+        lambda: LawKernel(Level, Level, None, None),
+        "the first fields of Level must be depth, length and point, in this order, not normal",
     ),
     "text for a quantity": (lambda: quantity("1500"), "a quantity's value is a number"),
     "endless density": (

@@ -143,6 +143,20 @@ def test_the_plugin_draws_prints_where_they_are(fallen: tuple) -> None:
     check(ground, scene_of(model, data), *square(relief.x, relief.y, relief.height))
 
 
+def test_what_joins_the_ends_of_a_window_is_under_the_field(fallen: tuple) -> None:
+    ground, model, data = fallen
+    if not isinstance(ground.surface, HeightField):
+        return
+    scene = scene_of(model, data)
+    fields = (g for g in scene.geoms[: scene.ngeom] if g.type == mujoco.mjtGeom.mjGEOM_HFIELD)
+    sunk = min(float(geom.pos[2]) for geom in fields) - ground.origin[2]
+    vertices = np.array(scene.skinvert, float).reshape(-1, 3)[: (MEMORY.size + 20) ** 2]
+    u, v, z = ground.place(vertices).T
+    beyond = np.maximum(abs(u), abs(v)) > CELL * (MEMORY.size / 2 + 1)
+    assert beyond.any()
+    assert (z[beyond] < ground.level(u[beyond]) + sunk).all()
+
+
 def test_what_is_plane_is_covered_once(fallen: tuple) -> None:
     ground, model, data = fallen
     if isinstance(ground.surface, HeightField):

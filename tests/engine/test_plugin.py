@@ -10,6 +10,7 @@ import pickle
 import subprocess
 import sys
 import threading
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -38,6 +39,7 @@ from mjgranular import (
 from mjgranular.engine import NAME, pickles, tune
 from mjgranular.engine.config import KEYS, SENSOR, SENSOR_KEYS
 from mjgranular.engine.instances import sands_in
+from mjgranular.errors import FloorWarning
 from mjgranular.models import Link
 from mjgranular.surface import surfaces
 
@@ -214,7 +216,10 @@ def test_two_media_in_two_beds() -> None:
     spec = mujoco.MjSpec.from_string(TWO_BEDS)
     add_sand(spec, law=DepthVelocityLaw(stiffness=100), surface=Bed("left"))
     add_sand(spec, law=DepthVelocityLaw(stiffness=300), surface=Bed("right"))
-    model = spec.compile()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", FloorWarning)
+        model = spec.compile()
+        mujoco.MjData(model)
     names = [mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_PLUGIN, i) for i in range(2)]
     assert names == ["sand", "sand_2"]
     data = mujoco.MjData(model)

@@ -143,6 +143,16 @@ def test_dunes_are_where_they_say():
     assert env.reset(seed=0)[1]["sand/valid"] is True
 
 
+def test_dunes_of_every_episode_keep_prints():
+    env = SandEnv("ChainCrawl", surface="height_field geom=dunes", memory=True)
+    _, info = env.reset(seed=0)
+    assert env.task.ground(0)(1.3, -0.4) == env.task.dunes.height(1.3, -0.4) != 0.0
+    for _ in range(3):
+        info = env.step(np.zeros(env.model.nu))[-1]
+    assert info["sand/force"][2] > 0.0
+    assert np.abs(env.data.plugin_state).max() > 0.0
+
+
 @batches
 @pytest.mark.parametrize("name", ["ChainCrawl", "Hexapod", "Hopper", "Walker2d", "Ant"])
 def test_starts_are_on_the_dunes(name):
