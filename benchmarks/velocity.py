@@ -38,6 +38,7 @@ GROUNDS: dict[str, dict[str, Any]] = {
     "half the strength": drawn("strength", 0.5),
     "twice the strength": drawn("strength", 2.0),
     "slope of 10 degrees": drawn("slope", math.radians(10)),
+    "dunes of up to 9 degrees": {"randomise": {"surfaces": ("dunes",)}},
     "from a rigid floor to sand": {"rigid": 0.3},
     "a rigid floor": {"rigid": math.inf},
     HALVED: {"frame_skip": 2 * Go1Velocity.frame_skip},
