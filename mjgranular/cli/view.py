@@ -77,13 +77,13 @@ class ViewCommand(options_of(Drop, without=_NOT_OPTIONS)):
             check_address(self.host, self.port)
         elif (self.host, self.port) != (ViewCommand.host, ViewCommand.port):
             raise InputError("--host and --port are for a page: use --web")
-        else:
-            check_display()
         with self._live() if self._is_policy() else nullcontext() as live:
             self._show(live)
         return 0
 
     def _show(self, live: Live | None) -> None:
+        if not self.web:
+            check_display()  # after PyTorch, whose import of Triton ends a process with Mesa in it
         switch, camera, step = Switch(speed=self.speed), {}, None
         restart: Callable[[], None]
         if live is None:
