@@ -34,6 +34,8 @@ _STEP_RANGE = (1e-5, 5e-4)  # range of the time step [s]; chosen
 _AFTER = 1.5  # rows are used up to this many times the time to rest: later rows add nothing
 _BEFORE = 0.1  # and from this part of it before the touch: rows in the air do not depend on sand
 _LEAST_PITCH = 10.0  # scale of a pitch that hardly changes [degrees]; chosen
+_STILL = 1e-6  # largest velocity at which a body counts as at rest [m/s], [rad/s]; chosen
+_CHECK_EVERY = 8  # steps between two checks for rest
 _TOUCH = 0.03  # parts of the depth by which the first touch may be off; chosen
 
 
@@ -207,8 +209,15 @@ class DropTrial(Trial):
         # MuJoCo's velocities lie half a step before its positions (docs/scheme.md).
         qvel[1] += timestep / 2 * GRAVITY
         simulator.reset(self._qpos, qvel)
-        path = simulator.move(steps * parts, lambda: simulator.data.qpos, until_rest=True)
-        return np.vstack([self._qpos, path[parts - 1 :: parts]])
+        path = np.empty((1 + steps * parts, len(self._qpos)))
+        path[0] = self._qpos
+        for step in range(1, len(path)):
+            simulator.step()
+            path[step] = simulator.data.qpos
+            if step % _CHECK_EVERY == 0 and np.abs(simulator.data.qvel).max() < _STILL:
+                path[step:] = path[step]
+                break
+        return path[::parts]
 
     def since(self, shift: float | None) -> np.ndarray:
         return self.places - (self.touch if shift is None else shift)
@@ -264,8 +273,11 @@ class ModelTrial(DropTrial):
         if not len(simulator.depths_of(self._body)):
             raise InputError(f"the body {self.run.model_body!r} does not meet the sand")
         simulator.reset(self._qpos, self._qvel)
-        depth = simulator.move(self._steps, lambda: simulator.depths_of(self._body).max())
-        return Motion(depth=depth, time=simulator.model.opt.timestep * np.arange(len(depth)))
+        depth = np.empty(self._steps)
+        for k in range(self._steps):
+            simulator.step()
+            depth[k] = simulator.depths_of(self._body).max()
+        return Motion(depth=depth, time=simulator.model.opt.timestep * np.arange(self._steps))
 
     def predicted(self, outcome: Motion, shift: float | None) -> list[np.ndarray]:
         assert outcome.time is not None

@@ -9,15 +9,9 @@ from typing import Any
 import numpy as np
 
 from mjgranular.calibrate.material import Material
-from mjgranular.calibrate.motion import Errors, Motion, compare, rms
+from mjgranular.calibrate.motion import Errors, Motion, compare
 from mjgranular.calibrate.runs import Run
-from mjgranular.calibrate.simulate import (
-    Simulator,
-    forces_of_push,
-    place,
-    simulate_with,
-    simulator_of,
-)
+from mjgranular.calibrate.simulate import Simulator, simulate_with
 from mjgranular.errors import InputError, UnstableError, shown
 from mjgranular.models import Projectile
 
@@ -140,28 +134,19 @@ class PushTrial(RowsTrial):
             depth = np.full(len(places), run.depth)
             motion = Motion(depth=depth, speed=places, force=none)
         self._simulated = replace(run, motion=motion)
-        self._simulator = simulator_of(self._simulated, "place")
-        is_fast = run.kind == "intrude" and self._simulated.froude > _FAST
-        self._pusher = simulator_of(self._simulated, "push") if is_fast else None
+        self._is_fast = run.kind == "intrude" and self._simulated.froude > _FAST
 
     def simulate(self, material: Material) -> Motion:
-        if self._pusher is not None and material.law.adds_mass:
-            self._pusher.use(material)
-            force = forces_of_push(self._simulated, self._pusher, self._simulated.motion.depth)
-            found = replace(self._simulated.motion, force=force)
-        else:
-            self._simulator.use(material)
-            found = place(self._simulated, self._simulator)
+        way = "press" if self._is_fast and material.law.adds_mass else "place"
+        found = simulate_with(self._simulated, material, self._simulators, way)
         at = getattr(found, self.axis)
         columns = {s.name: np.interp(self.places, at, getattr(found, s.name)) for s in self.series}
-        return Motion(depth=self.places, **columns)
+        return replace(self.run.motion, **columns)
 
     def errors(self, outcome: Motion, shift: float | None) -> Errors:
-        off, force = self.off(outcome, shift), self.series[0]
-        return Errors(
-            trajectory=rms(np.linalg.norm(off, axis=0)) / force.scale,
-            force=float(self.predicted(outcome, shift)[0].mean() / force.values.mean() - 1),
-        )
+        predicted, measured = self.predicted(outcome, shift)[0], self.series[0].values
+        force = float(predicted.mean() / measured.mean() - 1)
+        return replace(compare(self.run.motion, outcome), force=force, lift=None)
 
 
 def _rows_of_push(run: Run) -> np.ndarray:
