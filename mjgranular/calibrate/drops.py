@@ -230,14 +230,14 @@ class DropTrial(Trial):
         found[0] += self._speed * above + GRAVITY / 2 * above**2
         return found
 
-    def errors(self, outcome: Motion, shift: float | None) -> Errors:
-        off, depth = self.off(outcome, shift), self.predicted(outcome, shift)[0]
-        measured, predicted = self.arrest, find_arrest(self.since(shift), depth)
+    def errors(self, predicted: list[np.ndarray], shift: float | None) -> Errors:
+        arrest = find_arrest(self.since(shift), predicted[0])
+        off = [rms(p - s.values) for p, s in zip(predicted, self.series, strict=True)]
         return Errors(
-            depth=predicted.depth / measured.depth - 1,
-            stopping_time=relative(measured.time, predicted.time),
-            trajectory=rms(off[0]) / self.series[0].scale,
-            pitch=rms(off[1]) if len(off) > 1 else None,
+            depth=arrest.depth / self.arrest.depth - 1,
+            stopping_time=relative(self.arrest.time, arrest.time),
+            trajectory=off[0] / self.series[0].scale,
+            pitch=off[1] if len(off) > 1 else None,
         )
 
 

@@ -22,7 +22,7 @@ from mjgranular.calibrate.intervals import (
 from mjgranular.calibrate.material import Material
 from mjgranular.calibrate.motion import Errors
 from mjgranular.calibrate.runs import Run
-from mjgranular.calibrate.trial import Problem, PushTrial, RowsTrial, Trial
+from mjgranular.calibrate.trial import Problem, PushTrial, Trial
 from mjgranular.errors import (
     InputError,
     RangeWarning,
@@ -204,7 +204,7 @@ def _trial(run: Run) -> Trial:
     if run.kind in ("drop", "model"):
         return DropTrial(run) if run.kind == "drop" else ModelTrial(run)
     of_rows = isinstance(run.body, Path) or (run.kind == "drag" and run.depth is None)
-    return RowsTrial(run) if of_rows else PushTrial(run)
+    return Trial(run) if of_rows else PushTrial(run)
 
 
 def _check_bodies(runs: Sequence[Run]) -> None:
@@ -266,13 +266,13 @@ def _result(
     good = ~flat & (relative <= WIDE)
     runs, held_out, curves = {}, {}, {}
     for name, trial in trials.items():
-        outcome = trial.simulate(material)
         fitted = trial in problem.trials
         shift = problem.shift_of(x, problem.trials.index(trial)) if fitted else trial.shift
-        (runs if fitted else held_out)[name] = trial.errors(outcome, shift)
+        predicted = trial.predicted(trial.simulate(material), shift)
+        (runs if fitted else held_out)[name] = trial.errors(predicted, shift)
         curves[name] = tuple(
             Curve(trial.axis, s.name, trial.since(shift), s.values, values, not fitted)
-            for s, values in zip(trial.series, trial.predicted(outcome, shift), strict=True)
+            for s, values in zip(trial.series, predicted, strict=True)
         )
     return FitResult(
         start=start,

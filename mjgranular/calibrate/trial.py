@@ -1,6 +1,5 @@
 """Runs as the fit sees them: measured data row by row, predictions, and all of their residuals."""
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -44,8 +43,11 @@ class Series:
     scale: float
 
 
-class Trial(ABC):
-    """A run with its data read and checked: values of `series` at `places` of an `axis`."""
+class Trial:
+    """A run with its data read and checked: values of `series` at `places` of an `axis`.
+
+    By default, its rows are simulated and compared one by one.
+    """
 
     carries = 2  # largest number of constants that such a curve can determine; chosen
 
@@ -56,44 +58,6 @@ class Trial(ABC):
     speeds: tuple[float, ...]  # of the run [m/s]
     shift: float | None = None  # time of the touch [s], if it is fitted with the constants
     shift_range: tuple[float, float] = (0.0, 0.0)
-
-    @property
-    def rows(self) -> int:
-        return sum(len(series.values) for series in self.series)
-
-    @abstractmethod
-    def simulate(self, material: Material) -> Motion:
-        """Simulate the run with a material."""
-
-    @abstractmethod
-    def errors(self, outcome: Motion, shift: float | None) -> Errors:
-        """Summarize the errors of a simulated run."""
-
-    def predicted(self, outcome: Motion, shift: float | None) -> list[np.ndarray]:
-        """Return the series as they would have been measured."""
-        return [getattr(outcome, series.name) for series in self.series]
-
-    def since(self, shift: float | None) -> np.ndarray:
-        """Return the places of a curve: times count from the touch."""
-        return self.places
-
-    def off(self, outcome: Motion, shift: float | None) -> list[np.ndarray]:
-        """Return prediction minus measurement of each series."""
-        found = self.predicted(outcome, shift)
-        return [values - s.values for values, s in zip(found, self.series, strict=True)]
-
-    def residual(self, outcome: Motion, shift: float | None) -> np.ndarray:
-        """Return prediction minus measurement, in parts of each scale.
-
-        Divided by the root of the number of rows: every series has the same weight at any frame
-        rate.
-        """
-        scales = (s.scale * np.sqrt(len(s.values)) for s in self.series)
-        return np.concatenate([*map(np.divide, self.off(outcome, shift), scales)])
-
-
-class RowsTrial(Trial):
-    """A run whose rows are compared one by one."""
 
     def __init__(self, run: Run) -> None:
         self.run, motion = run, run.motion
@@ -109,14 +73,40 @@ class RowsTrial(Trial):
         else:
             self.speeds = (float(found.min()), float(found.max()))
 
+    @property
+    def rows(self) -> int:
+        return sum(len(series.values) for series in self.series)
+
     def simulate(self, material: Material) -> Motion:
+        """Simulate the run with a material."""
         return simulate_with(self.run, material, self._simulators)
 
-    def errors(self, outcome: Motion, shift: float | None) -> Errors:
-        return compare(self.run.motion, outcome)
+    def errors(self, predicted: list[np.ndarray], shift: float | None) -> Errors:
+        """Summarize the errors of predicted series."""
+        columns = zip((series.name for series in self.series), predicted, strict=True)
+        return compare(self.run.motion, replace(self.run.motion, **dict(columns)))
+
+    def predicted(self, outcome: Motion, shift: float | None) -> list[np.ndarray]:
+        """Return the series as they would have been measured."""
+        return [getattr(outcome, series.name) for series in self.series]
+
+    def since(self, shift: float | None) -> np.ndarray:
+        """Return the places of a curve: times count from the touch."""
+        return self.places
+
+    def residual(self, predicted: list[np.ndarray]) -> np.ndarray:
+        """Return prediction minus measurement, in parts of each scale.
+
+        Divided by the root of the number of rows: every series has the same weight at any frame
+        rate.
+        """
+        pairs = zip(predicted, self.series, strict=True)
+        return np.concatenate(
+            [(values - s.values) / (s.scale * np.sqrt(len(s.values))) for values, s in pairs]
+        )
 
 
-class PushTrial(RowsTrial):
+class PushTrial(Trial):
     """A shape pushed straight down, or dragged along: force against depth or speed."""
 
     def __init__(self, run: Run) -> None:
@@ -141,12 +131,11 @@ class PushTrial(RowsTrial):
         found = simulate_with(self._simulated, material, self._simulators, way)
         at = getattr(found, self.axis)
         columns = {s.name: np.interp(self.places, at, getattr(found, s.name)) for s in self.series}
-        return replace(self.run.motion, **columns)
+        return Motion(depth=self.places, **columns)
 
-    def errors(self, outcome: Motion, shift: float | None) -> Errors:
-        predicted, measured = self.predicted(outcome, shift)[0], self.series[0].values
-        force = float(predicted.mean() / measured.mean() - 1)
-        return replace(compare(self.run.motion, outcome), force=force, lift=None)
+    def errors(self, predicted: list[np.ndarray], shift: float | None) -> Errors:
+        force = float(predicted[0].mean() / self.series[0].values.mean() - 1)
+        return replace(super().errors(predicted, shift), force=force, lift=None)
 
 
 def _rows_of_push(run: Run) -> np.ndarray:
@@ -254,7 +243,7 @@ class Problem:
             if outcome is None:
                 parts.append(np.full(trial.rows, _FAR / np.sqrt(trial.rows)))
             else:
-                parts.append(trial.residual(outcome, self.shift_of(x, k)))
+                parts.append(trial.residual(trial.predicted(outcome, self.shift_of(x, k))))
         return np.concatenate(parts)
 
     def blocks(self) -> list[slice]:
