@@ -266,8 +266,7 @@ def _result(
     good = ~flat & (relative <= WIDE)
     runs, held_out, curves = {}, {}, {}
     for name, trial in trials.items():
-        fitted = trial in problem.trials
-        shift = problem.shift_of(x, problem.trials.index(trial)) if fitted else trial.shift
+        fitted, shift = trial in problem.trials, problem.shift_of(x, trial)
         predicted = trial.predicted(trial.simulate(material), shift)
         (runs if fitted else held_out)[name] = trial.errors(predicted, shift)
         curves[name] = tuple(

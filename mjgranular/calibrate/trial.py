@@ -191,9 +191,9 @@ class Problem:
         progress: Callable[[int], None] | None = None,
     ) -> None:
         self.trials, self.material, self.free = tuple(trials), material, tuple(free)
-        self.shifted = [k for k, trial in enumerate(trials) if trial.shift is not None]
+        self.shifted = [trial for trial in trials if trial.shift is not None]
         bounds = [material.bounds(name) for name in free]
-        bounds += [trials[k].shift_range for k in self.shifted]
+        bounds += [trial.shift_range for trial in self.shifted]
         self.low, self.high = (np.array(ends, float) for ends in zip(*bounds, strict=True))
         self.count = len(self.free)
         self.range = self.high - self.low  # may be infinite
@@ -207,16 +207,15 @@ class Problem:
 
     def start(self) -> np.ndarray:
         constants = [self.material.value(name) for name in self.free]
-        shifts = [self.trials[k].shift for k in self.shifted]
-        return np.array([*constants, *shifts], float)
+        return np.array([*constants, *(trial.shift for trial in self.shifted)], float)
 
     def material_at(self, x: np.ndarray) -> Material:
         values = {name: float(value) for name, value in zip(self.free, x, strict=False)}
         return self.material.changed(values)
 
-    def shift_of(self, x: np.ndarray, trial: int) -> float | None:
+    def shift_of(self, x: np.ndarray, trial: Trial) -> float | None:
         if trial not in self.shifted:
-            return None
+            return trial.shift  # held out
         return float(x[self.count + self.shifted.index(trial)])
 
     def outcomes(self, x: np.ndarray) -> list[Motion | None]:
@@ -238,12 +237,11 @@ class Problem:
 
     def residual(self, x: np.ndarray) -> np.ndarray:
         parts = []
-        for k, outcome in enumerate(self.outcomes(x)):
-            trial = self.trials[k]
+        for trial, outcome in zip(self.trials, self.outcomes(x), strict=True):
             if outcome is None:
                 parts.append(np.full(trial.rows, _FAR / np.sqrt(trial.rows)))
             else:
-                parts.append(trial.residual(trial.predicted(outcome, self.shift_of(x, k))))
+                parts.append(trial.residual(trial.predicted(outcome, self.shift_of(x, trial))))
         return np.concatenate(parts)
 
     def blocks(self) -> list[slice]:
