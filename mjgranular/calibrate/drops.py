@@ -185,10 +185,9 @@ class DropTrial(Trial):
     def _make_simulator(self, duration: float) -> Simulator:
         self._timestep = float(np.clip(duration / _STEPS, *_STEP_RANGE))
         self._duration = duration + self._timestep
-        projectile = self.run.body
-        self._qpos = np.array(projectile.touching(self.run.angle), float)
-        self._qvel = np.array(projectile.moving(self.run.angle, self._speed, 0.0, 0.0), float)
-        return Simulator(projectile.model(self._timestep), Implicit(), ("link",))
+        body, angle = self.run.body, self.run.angle
+        self._qpos, self._qvel = body.touching(angle), body.moving(angle, self._speed, 0.0, 0.0)
+        return Simulator(body.model(self._timestep), Implicit())
 
     def simulate(self, material: Material) -> Motion:
         self._simulator.use(material)

@@ -254,9 +254,9 @@ def _result(
     sizes = problem.sizes(np.abs(problem.start()))
     near = _ON_BOUND * sizes
     held = (x - problem.low < near) | (problem.high - x < near)
-    jacobian[:, count:][:, held[count:]] = 0.0  # a touch on its bound cannot move
+    moving = ~held | (np.arange(len(x)) < count)  # a touch on its bound cannot move
+    jacobian[:, ~moving] = 0.0
     scale = np.where(np.abs(x) > near, np.abs(x), sizes)[:count]
-    moving = np.concatenate([np.arange(count), count + np.flatnonzero(~held[count:])])
     blocks, size = problem.blocks(), problem.sizes(scale)[moving]
     half, correlation = spread_of(jacobian[:, moving], residual, blocks, problem.runs(), size)
     information = information_of(jacobian, scale)

@@ -252,9 +252,8 @@ class Run:
             raise self._error(f"a {self.kind} needs a column of forces")
         if self.kind == "drag" and not (self.depth or self.motion.depth.max()) > 0:
             raise self._error("a drag needs the depth of the body's lowest point [m]")
-        back = [] if time is None else np.flatnonzero(np.diff(time) <= 0)
-        if time is not None and len(back):
-            row = int(back[0])
+        if time is not None and (np.diff(time) <= 0).any():
+            row = int(np.argmax(np.diff(time) <= 0))
             raise self._error(
                 f"times must grow, got {time[row + 1]:g} after {time[row]:g} s in row {row + 2}"
             )

@@ -18,7 +18,6 @@ from mjgranular.kernel.compiled import entry
 from mjgranular.law import Law
 from mjgranular.medium import Medium, get_medium
 from mjgranular.models import Projectile
-from mjgranular.models.link import offset
 from mjgranular.sand.binding import Binding, bind
 from mjgranular.sand.guard import finish_step, guarded_step
 from mjgranular.sand.prepare import PreparedSand, prepare
@@ -47,15 +46,9 @@ class Simulator:
     change too. The scheme is for free motion, or for forces on a prescribed motion.
     """
 
-    def __init__(
-        self,
-        model: mujoco.MjModel,
-        scheme: Scheme | str = "auto",
-        bodies: tuple[str, ...] | None = None,
-    ) -> None:
-        self.model = model
+    def __init__(self, model: mujoco.MjModel, scheme: Scheme | str) -> None:
+        self.model, self._scheme = model, scheme
         self.data = mujoco.MjData(model)
-        self._scheme, self._bodies = scheme, bodies
         self._guarded = entry(guarded_step, "int64(int64, int64, float64)")
         self._finish = entry(finish_step, "int64(int64)")
         self._prepared: PreparedSand
@@ -66,7 +59,7 @@ class Simulator:
     def use(self, material: Material) -> None:
         law, medium, changed = material.law, material.medium, self._changed(material)
         if changed is None or changed not in self._harmless:
-            spec = SandSpec(medium=medium, law=law, scheme=self._scheme, bodies=self._bodies)
+            spec = SandSpec(medium=medium, law=law, scheme=self._scheme)
             with warnings.catch_warnings():  # the model is made for this; the law is still unknown
                 warnings.simplefilter("ignore", GranularWarning)
                 prepared = prepare(self.model, spec)
@@ -206,7 +199,7 @@ def _simulator_of(run: Run, way: str, timestep: float) -> Simulator:
                 joint.armature = _HEAVY_BODY
     else:
         chosen = Explicit(prescribed=True)
-    return Simulator(spec.compile(), chosen, None if isinstance(run.body, Path) else ("link",))
+    return Simulator(spec.compile(), chosen)
 
 
 def _drop(run: Run, simulator: Simulator) -> Motion:
@@ -214,9 +207,9 @@ def _drop(run: Run, simulator: Simulator) -> Motion:
     body, q = run.body, run.angle
     assert time is not None
     assert isinstance(body, Projectile)
-    start = np.array(body.touching(q), float)
+    start = body.touching(q)
     start[1] -= depth[0]
-    simulator.reset(start, np.array(body.moving(q, run.speed, 0.0, 0.0)))
+    simulator.reset(start, body.moving(q, run.speed, 0.0, 0.0))
     gravity = float(np.linalg.norm(simulator.model.opt.gravity))
     timestep = simulator.model.opt.timestep
     every = max(1, round(_SAMPLES / timestep))
@@ -255,9 +248,7 @@ def _sample(body: Projectile, data: mujoco.MjData) -> tuple[float, float, float]
 
 def lowest_depth(body: Projectile, qpos: np.ndarray) -> float:
     """Return the depth of the lowest point of a projectile [m]."""
-    q = float(qpos[2])
-    _, below = offset(body.lowest(q), q)
-    return -(float(qpos[1]) + below)
+    return float(body.touching(float(qpos[2]))[1] - qpos[1])
 
 
 def _forces_of_push(run: Run, simulator: Simulator, depths: np.ndarray) -> np.ndarray:

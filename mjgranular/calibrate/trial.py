@@ -9,7 +9,7 @@ import numpy as np
 
 from mjgranular.calibrate.material import Material
 from mjgranular.calibrate.motion import Errors, Motion, compare
-from mjgranular.calibrate.runs import Run
+from mjgranular.calibrate.runs import Run, motion_of
 from mjgranular.calibrate.simulate import Simulator, simulate_with
 from mjgranular.errors import InputError, UnstableError, shown
 from mjgranular.models import Projectile
@@ -112,18 +112,13 @@ class PushTrial(Trial):
     def __init__(self, run: Run) -> None:
         inside = _rows_of_push(run)
         names = ("depth", "force", "lift", "speed") if run.kind == "drag" else ("depth", "force")
-        columns = {name: getattr(run.motion, name) for name in names}
-        rows: dict[str, Any] = {k: v if v is None else v[inside] for k, v in columns.items()}
-        super().__init__(replace(run, motion=Motion(**rows)))
+        given = {k: v for k, v in vars(run.motion).items() if k in names and v is not None}
+        super().__init__(replace(run, motion=Motion(**{k: v[inside] for k, v in given.items()})))
         places = np.unique(self.places)
         if self.axis == "depth" and len(self.places) > _POINTS:
             places = np.linspace(places[0], places[-1], _POINTS)
-        none = np.zeros(len(places))  # forces that are not used
-        motion = Motion(depth=places, force=none)
-        if self.axis == "speed":
-            depth = np.full(len(places), run.depth)
-            motion = Motion(depth=depth, speed=places, force=none)
-        self._simulated = replace(run, motion=motion)
+        columns = {self.axis: places, "force": np.zeros(len(places))}  # forces are not used
+        self._simulated = replace(run, motion=motion_of(columns, run.depth))
         self._is_fast = run.kind == "intrude" and self._simulated.froude > _FAST
 
     def simulate(self, material: Material) -> Motion:
