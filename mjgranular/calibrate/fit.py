@@ -83,10 +83,7 @@ class Fit:
                 raise UnknownNameError("run to hold out", name, names)
         if not set(names) - set(self.hold_out):
             raise InputError("there is no run to fit to: at least one must not be held out")
-        material = self.material
-        material.check_free(self.free)
-        for name in self.free:
-            material.has_start(name)
+        self.material.check_free(self.free)
 
     @property
     def material(self) -> Material:
@@ -182,7 +179,7 @@ def run_fit(fit: Fit, *, progress: Callable[[int], None] | None = None) -> FitRe
     _check_enough(fitted, fit.free)
     start = _with_starts(fit, fitted)
     problem = Problem(fitted, start, fit.free, progress)
-    x = problem.start()
+    x = problem.start
     if any(outcome is None for outcome in problem.outcomes(x)):
         raise UnstableError(f"a run diverges with {start.law}: start from other constants")
     inner = 1e-6 * np.where(np.isfinite(problem.range), problem.range, 0.0)
@@ -238,7 +235,7 @@ def _with_starts(fit: Fit, trials: Sequence[Trial]) -> Material:
             costs = {}
             for value in _SCAN:
                 probe = Problem(trials, material.changed({name: value}), (name,))
-                cost = np.square(probe.residual(probe.start())).sum()
+                cost = np.square(probe.residual(probe.start)).sum()
                 costs[value] = np.inf if np.isnan(cost) else cost
             material = material.changed({name: min(costs, key=costs.__getitem__)})
     return material
@@ -251,14 +248,14 @@ def _result(
     count, names = problem.count, fit.free
     material = problem.material_at(x)
     residual, jacobian = problem.residual(x), problem.jacobian(x)
-    sizes = problem.sizes(np.abs(problem.start()))
+    sizes = problem.sizes(np.abs(problem.start))
     near = _ON_BOUND * sizes
     held = (x - problem.low < near) | (problem.high - x < near)
     moving = ~held | (np.arange(len(x)) < count)  # a touch on its bound cannot move
     jacobian[:, ~moving] = 0.0
     scale = np.where(np.abs(x) > near, np.abs(x), sizes)[:count]
-    blocks, size = problem.blocks(), problem.sizes(scale)[moving]
-    half, correlation = spread_of(jacobian[:, moving], residual, blocks, problem.runs(), size)
+    blocks, size = problem.blocks, problem.sizes(scale)[moving]
+    half, correlation = spread_of(jacobian[:, moving], residual, blocks, problem.runs, size)
     information = information_of(jacobian, scale)
     relative = half[:count] / scale
     one_speed = trades_off(problem.trials, material, names)

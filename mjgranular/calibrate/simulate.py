@@ -214,14 +214,15 @@ def _drop(run: Run, simulator: Simulator) -> Motion:
     timestep = simulator.model.opt.timestep
     every = max(1, round(_SAMPLES / timestep))
     last = time[-1] - time[0]
-    rows = [(0.0, *_sample(body, simulator.data))]
-    fastest = run.speed
-    for step in range(1, math.ceil((last + _LONGER) / timestep) + 1):
-        simulator.step()
+    rows, fastest, data = [], run.speed, simulator.data
+    for step in range(math.ceil((last + _LONGER) / timestep) + 1):
+        if step > 0:
+            simulator.step()
         if step % every == 0:
-            rows.append((step * timestep, *_sample(body, simulator.data)))
-            fastest = max(fastest, rows[-1][2])
-            if step * timestep > last and rows[-1][2] < 0.005 * fastest:
+            deepest, speed = lowest_depth(body, data.qpos), -float(data.qvel[1])
+            rows.append((step * timestep, deepest, speed, abs(math.degrees(data.qpos[2]))))
+            fastest = max(fastest, speed)
+            if step * timestep > last and speed < 0.005 * fastest:
                 break
     found = np.array(rows)
     if run.motion.to_the_stop:
@@ -238,12 +239,6 @@ def _drop(run: Run, simulator: Simulator) -> Motion:
         pitch=None if body.shape == "sphere" else pitch,
         to_the_stop=run.motion.to_the_stop,
     )
-
-
-def _sample(body: Projectile, data: mujoco.MjData) -> tuple[float, float, float]:
-    """Return lowest depth [m], downward speed of C [m/s], angle from vertical [degrees]."""
-    depth = lowest_depth(body, data.qpos)
-    return depth, -float(data.qvel[1]), abs(math.degrees(float(data.qpos[2])))
 
 
 def lowest_depth(body: Projectile, qpos: np.ndarray) -> float:

@@ -192,6 +192,11 @@ class Problem:
         self.low, self.high = (np.array(ends, float) for ends in zip(*bounds, strict=True))
         self.count = len(self.free)
         self.range = self.high - self.low  # may be infinite
+        constants = [material.value(name) for name in free]
+        self.start = np.array([*constants, *(trial.shift for trial in self.shifted)], float)
+        # Rows of each series of each run, and of each run, among the residuals.
+        self.blocks = _slices([len(series.values) for trial in trials for series in trial.series])
+        self.runs = _slices([trial.rows for trial in trials])
         self.evaluations = 0
         self._progress = progress
         self._outcomes: dict[tuple[float, ...], list[Motion | None]] = {}
@@ -199,10 +204,6 @@ class Problem:
     def sizes(self, constants: np.ndarray) -> np.ndarray:
         """Return the size of each unknown: that of `constants`, and the range of each touch."""
         return np.concatenate([constants[: self.count], self.range[self.count :]])
-
-    def start(self) -> np.ndarray:
-        constants = [self.material.value(name) for name in self.free]
-        return np.array([*constants, *(trial.shift for trial in self.shifted)], float)
 
     def material_at(self, x: np.ndarray) -> Material:
         values = {name: float(value) for name, value in zip(self.free, x, strict=False)}
@@ -239,20 +240,12 @@ class Problem:
                 parts.append(trial.residual(trial.predicted(outcome, self.shift_of(x, trial))))
         return np.concatenate(parts)
 
-    def blocks(self) -> list[slice]:
-        """Return the rows of each series of each run among the residuals."""
-        return _slices([len(series.values) for trial in self.trials for series in trial.series])
-
-    def runs(self) -> list[slice]:
-        """Return the rows of each run among the residuals."""
-        return _slices([trial.rows for trial in self.trials])
-
     def jacobian(self, x: np.ndarray) -> np.ndarray:
         """Return the derivatives of the residuals, central differences if the bounds allow."""
         columns = []
         for k in range(len(x)):
             if k < self.count:
-                step = _FINE * max(abs(x[k]), 1e-3 * abs(self.start()[k]))
+                step = _FINE * max(abs(x[k]), 1e-3 * abs(self.start[k]))
             else:
                 step = _FINE * self.range[k]
             up, down = x.copy(), x.copy()
