@@ -11,7 +11,7 @@ from mjgranular.calibrate.motion import Errors, Motion, relative, rms
 from mjgranular.calibrate.runs import GRAVITY, Run
 from mjgranular.calibrate.simulate import Simulator, lowest_depth
 from mjgranular.calibrate.trial import Series, Trial
-from mjgranular.errors import InputError, shown
+from mjgranular.errors import InputError
 from mjgranular.experiment.drop import Drop, load, start_from
 from mjgranular.models import Projectile
 from mjgranular.sand.prepare import geoms_in_sand
@@ -100,8 +100,10 @@ def find_arrest(since: np.ndarray, depth: np.ndarray) -> Arrest:
     return Arrest(final, None if at >= last or np.ptp(alike) > _VAGUE * at else at)
 
 
-def check_units(time: np.ndarray, depth: np.ndarray, speed: float, size: float, where: str) -> None:
+def check_units(run: Run, time: np.ndarray) -> None:
     """Check that depths and times are plausible in meters and seconds."""
+    depth, speed = run.motion.depth, run.speed
+    size = run.body.reach if isinstance(run.body, Projectile) else math.inf
     greatest = float(depth.max())
     near = np.flatnonzero(depth >= 0.9 * greatest)[0]
     begin = np.flatnonzero(depth[: near + 1] <= _BEGINNING * greatest)
@@ -110,8 +112,8 @@ def check_units(time: np.ndarray, depth: np.ndarray, speed: float, size: float, 
     of_free_fall = 0.9 * greatest / (speed * took + GRAVITY * took**2 / 2)
     low, high = _PLAUSIBLE
     if not low <= of_free_fall <= high or greatest > 50 * size:
-        raise InputError(
-            f"{where}: {greatest:.4g} m deep after {took:.3g} s at {speed:g} m/s is implausible: "
+        raise run.error(
+            f"{greatest:.4g} m deep after {took:.3g} s at {speed:g} m/s is implausible: "
             "name units, such as 'depth [mm]' and 'time [ms]', and check the speed"
         )
 
@@ -133,27 +135,23 @@ class DropTrial(Trial):
 
     def __init__(self, run: Run) -> None:
         self.run = run
-        self._where = f"run {shown(run.name)}"
         self._speed = run.speed
         self.speeds = (self._speed,)
         time, depth, pitch = run.motion.time, run.motion.depth, run.motion.pitch
         assert time is not None
         if len(time) < 4:
-            raise InputError(f"{self._where}: a trajectory needs at least 4 rows, got {len(time)}")
+            raise run.error(f"a trajectory needs at least 4 rows, got {len(time)}")
         if depth.max() <= 0:
-            raise InputError(
-                f"{self._where}: no contact: depths, positive downward, are at most "
-                f"{depth.max():.4g} m"
+            raise run.error(
+                f"no contact: depths, positive downward, are at most {depth.max():.4g} m"
             )
         falls = run.kind == "drop"  # a model starts at its first row
         if falls and depth[-1] < min(depth[0], 0.0):
-            raise InputError(
-                f"{self._where}: the body ends {-depth[-1]:.4g} m above the sand: "
-                "depths are positive downward"
+            raise run.error(
+                f"the body ends {-depth[-1]:.4g} m above the sand: depths are positive downward"
             )
         if self._speed > 0 or falls:
-            size = run.body.reach if isinstance(run.body, Projectile) else math.inf
-            check_units(time, depth, self._speed, size, self._where)
+            check_units(run, time)
         self.touch = find_touch(time, depth, self._speed) if falls else float(time[0])
         since = time - self.touch
         curves = [np.maximum(depth, 0.0)]
@@ -177,9 +175,9 @@ class DropTrial(Trial):
         """Check the first pitch [degrees] against the angle of the run."""
         angle = round(math.degrees(self.run.angle), 9)
         if abs(first - angle) > 10:
-            raise InputError(
-                f"{self._where}: the angle is {angle:g} and the first pitch {first:.3g} degrees: "
-                "both are that of the axis from the vertical; a column in radians is 'pitch [rad]'"
+            raise self.run.error(
+                f"the angle is {angle:g} and the first pitch {first:.3g} degrees: both are that "
+                "of the axis from the vertical; a column in radians is 'pitch [rad]'"
             )
 
     def _make_simulator(self, duration: float) -> Simulator:
@@ -249,9 +247,9 @@ class ModelTrial(DropTrial):
         (body,) = find_all(model, "body", run.model_body)
         floors = find_floors(model, geoms_in_sand(model, SandSpec()), Plane())
         if floors:
-            raise InputError(
-                f"{self._where}: {describe_floors(model, floors, WOULD_CARRY)}: remove it from the "
-                "model, the sand is in its place"
+            raise run.error(
+                f"{describe_floors(model, floors, WOULD_CARRY)}: remove it from the model, the "
+                "sand is in its place"
             )
         data = mujoco.MjData(model)
         start_from(model, data, run.keyframe)
@@ -260,9 +258,7 @@ class ModelTrial(DropTrial):
         if self._speed:
             joint = model.body_jntadr[model.body_rootid[body]]
             if joint < 0 or model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_FREE:
-                raise InputError(
-                    f"{self._where}: a speed is for a free joint; use a keyframe with velocities"
-                )
+                raise run.error("a speed is for a free joint; use a keyframe with velocities")
             self._qvel[model.jnt_dofadr[joint] + 2] -= self._speed
         return Simulator(model, Implicit())
 

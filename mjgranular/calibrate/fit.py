@@ -73,7 +73,7 @@ class Fit:
         for run in self.runs:
             check_kind(run, Run, "a fit")
             if run.guided:
-                raise InputError(f"run {shown(run.name)}: a guided body cannot be fitted to")
+                raise run.error("a guided body cannot be fitted to")
         names = [run.name for run in self.runs]
         for name in names:
             if names.count(name) > 1:

@@ -13,7 +13,7 @@ import numpy as np
 from mjgranular.calibrate.material import Material
 from mjgranular.calibrate.motion import Motion
 from mjgranular.calibrate.runs import Run, load_machine
-from mjgranular.errors import GranularWarning, InputError, UnstableError, shown
+from mjgranular.errors import GranularWarning, UnstableError
 from mjgranular.kernel.compiled import entry
 from mjgranular.law import Law
 from mjgranular.medium import Medium, get_medium
@@ -147,7 +147,7 @@ def simulate(
         UnknownNameError: no such law or medium.
     """
     if run.kind == "model":
-        raise InputError(f"run {shown(run.name)}: a run of a model can only be fitted")
+        raise run.error("a run of a model can only be fitted")
     run.check_start()
     return simulate_with(run, Material.of(get_medium(medium), law), {}, timestep=timestep)
 

@@ -11,7 +11,7 @@ from mjgranular.calibrate.material import Material
 from mjgranular.calibrate.motion import Errors, Motion, compare
 from mjgranular.calibrate.runs import Run, motion_of
 from mjgranular.calibrate.simulate import Simulator, simulate_with
-from mjgranular.errors import InputError, UnstableError, shown
+from mjgranular.errors import UnstableError
 from mjgranular.models import Projectile
 
 _FAR = 10.0  # residual of a run that diverged: ten times what was measured
@@ -138,26 +138,23 @@ def _rows_of_push(run: Run) -> np.ndarray:
     force, along = run.motion.force, getattr(run.motion, _SERIES[run.kind][0])
     assert isinstance(run.body, Projectile)
     assert force is not None
-    where, size = f"run {shown(run.name)}", run.body.reach
-    deepest, inside = run.depth or run.motion.depth.max(), along > 0
+    size, deepest, inside = run.body.reach, run.depth or run.motion.depth.max(), along > 0
     if deepest > _DEEPEST * size:
-        raise InputError(
-            f"{where}: a depth of {deepest:.4g} m for a body of {size:.3g} m is implausible: "
+        raise run.error(
+            f"a depth of {deepest:.4g} m for a body of {size:.3g} m is implausible: "
             "the key depth is in m; name the unit of a column, such as 'depth [mm]'"
         )
     if run.kind == "drag" and not inside.all():
-        raise InputError(f"{where}: speeds of a drag must be positive, got {along.min():g} m/s")
+        raise run.error(f"speeds of a drag must be positive, got {along.min():g} m/s")
     if inside.sum() < 2:
         count = inside.sum() or "no contact"
         what = "depths" if run.kind == "intrude" else "speeds"
-        raise InputError(
-            f"{where}: 2 or more rows must be in the sand, got {count}; {what} there are positive"
+        raise run.error(
+            f"2 or more rows must be in the sand, got {count}; {what} there are positive"
         )
     mean = force[inside].mean()
     if mean <= 0:
-        raise InputError(
-            f"{where}: the mean force against the motion must be positive, got {mean:.3g} N"
-        )
+        raise run.error(f"the mean force against the motion must be positive, got {mean:.3g} N")
     return inside
 
 
