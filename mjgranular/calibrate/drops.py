@@ -162,7 +162,12 @@ class DropTrial(Trial):
         self.places = time[used]
         self.series = (Series("depth", depth[used], float(depth.max())),)
         if pitch is not None:
-            self._check_pitch(float(pitch[0]))
+            angle = round(math.degrees(run.angle), 9)
+            if abs(pitch[0] - angle) > 10:
+                raise run.error(
+                    f"the angle is {angle:g} and the first pitch {pitch[0]:.3g} degrees: both are "
+                    "that of the axis from the vertical; a column in radians is 'pitch [rad]'"
+                )
             scale = max(_LEAST_PITCH, float(np.ptp(pitch)))
             self.series += (Series("pitch", pitch[used], scale),)
         self.arrest = find_arrest(self.places - self.touch, depth[used])
@@ -170,15 +175,6 @@ class DropTrial(Trial):
         if falls and self._speed > 0:  # it is fitted with the constants
             off = max(_TOUCH * float(depth.max()) / self._speed, float(np.median(np.diff(time))))
             self.shift, self.shift_range = self.touch, (self.touch - off, self.touch + off)
-
-    def _check_pitch(self, first: float) -> None:
-        """Check the first pitch [degrees] against the angle of the run."""
-        angle = round(math.degrees(self.run.angle), 9)
-        if abs(first - angle) > 10:
-            raise self.run.error(
-                f"the angle is {angle:g} and the first pitch {first:.3g} degrees: both are that "
-                "of the axis from the vertical; a column in radians is 'pitch [rad]'"
-            )
 
     def _make_simulator(self, duration: float) -> Simulator:
         self._timestep = float(np.clip(duration / _STEPS, *_STEP_RANGE))
@@ -273,7 +269,3 @@ class ModelTrial(DropTrial):
             simulator.step()
             depth[k] = simulator.depths_of(self._body).max()
         return Motion(depth=depth, time=simulator.model.opt.timestep * np.arange(self._steps))
-
-    def predicted(self, outcome: Motion, shift: float | None) -> list[np.ndarray]:
-        assert outcome.time is not None
-        return [np.interp(self.since(None), outcome.time, outcome.depth)]
