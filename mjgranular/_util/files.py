@@ -50,7 +50,7 @@ _TRIES = 5
 def atomic_write(file: Path | str) -> Iterator[Path]:
     """Return a path to write to; at the end its content replaces `file` atomically."""
     file = Path(file)
-    with _staged(file, file, file.suffix) as part:  # writers choose the format by the suffix
+    with _staged(file, file) as part:
         yield part
         _flush(part)
         part.replace(file)
@@ -73,9 +73,9 @@ def replace_directory(folder: Path, *, instead_of: Sequence[str] = ()) -> Iterat
         part.mkdir()
         yield part
         names = {file.name for file in part.iterdir()}
-        stale = [name for name in instead_of if name not in names and is_plain_name(name)]
+        stale = [name for name in instead_of if is_plain_name(name) and name not in names]
         (part / _LIST).write_text(json.dumps({"remove": stale}), encoding="utf-8")
-        _flush_all(part)
+        _flush(*part.iterdir(), part)
         finish_publishing(folder)
         part.replace(folder / _READY)  # from here on they are the result
         _flush(folder)
@@ -148,7 +148,7 @@ def write_folder(folder: Path, fill: Callable[[Path], None]) -> None:
             for file in sorted(part.iterdir())
         }
         (part / MANIFEST).write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")
-        _flush_all(part)
+        _flush(*part.iterdir(), part)
         gone = folder.with_name(f".{folder.name}{_GONE}")
         shutil.rmtree(gone, ignore_errors=True)
         if folder.exists():
@@ -173,9 +173,6 @@ def find_corruption(folder: Path, names: Sequence[str] = ()) -> str | None:
     """
     try:
         manifest = read_json(folder / MANIFEST)
-    except OutputError as error:
-        return str(error)
-    try:
         for name in (*manifest, *names):
             file = folder / name
             if name not in manifest:
@@ -185,6 +182,8 @@ def find_corruption(folder: Path, names: Sequence[str] = ()) -> str | None:
             entry = manifest[name]
             if file.stat().st_size != entry["bytes"] or _sum(file) != entry["sha256"]:
                 return f"{name} is not as it was written"
+    except OutputError as error:
+        return str(error)
     except OSError as error:
         return f"it cannot be read ({error.strerror or error})"
     except (ValueError, KeyError, TypeError):
@@ -274,9 +273,9 @@ def _lock(file: Path) -> int:
 
 
 @contextmanager
-def _staged(path: Path, target: Path, suffix: str = "") -> Iterator[Path]:
+def _staged(path: Path, target: Path) -> Iterator[Path]:
     """Return a hidden path next to a path, for what is renamed to it; removed at the end."""
-    part = _temporary(path, suffix)
+    part = _temporary(path)
     try:
         yield part
     except GranularError:
@@ -287,8 +286,9 @@ def _staged(path: Path, target: Path, suffix: str = "") -> Iterator[Path]:
         _remove(part)
 
 
-def _temporary(path: Path, suffix: str = "") -> Path:
-    return path.with_name(f".{path.name}{_PART}{secrets.token_hex(4)}{suffix}")
+def _temporary(path: Path) -> Path:
+    """Return a hidden path with the same suffix, by which writers choose the format."""
+    return path.with_name(f".{path.name}{_PART}{secrets.token_hex(4)}{path.suffix}")
 
 
 def _remove(path: Path) -> None:
@@ -299,20 +299,15 @@ def _remove(path: Path) -> None:
             path.unlink()
 
 
-def _flush(path: Path) -> None:
-    if os.name == "nt" and path.is_dir():
-        return  # folders cannot be opened on this system
-    descriptor = os.open(path, os.O_RDWR if os.name == "nt" else os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
-
-
-def _flush_all(folder: Path) -> None:
-    for file in folder.iterdir():
-        _flush(file)
-    _flush(folder)
+def _flush(*paths: Path) -> None:
+    for path in paths:
+        if os.name == "nt" and path.is_dir():
+            continue  # folders cannot be opened on this system
+        descriptor = os.open(path, os.O_RDWR if os.name == "nt" else os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
 
 
 def _sum(file: Path) -> str:

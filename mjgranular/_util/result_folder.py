@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from mjgranular._util import files
-from mjgranular._util.io import is_plain_name, read_json
+from mjgranular._util.io import read_json
 from mjgranular._util.versions import versions
 from mjgranular.errors import OutputError
 
@@ -108,7 +108,8 @@ class ResultFolder:
             "finished": datetime.now(UTC).isoformat(timespec="seconds"),
             "files": list(self._names),
         }
-        names = (*self._names, *self._previous_names(), UNFINISHED)
+        previous = self._saved().get("files")  # of the last result, perhaps of another command
+        names = (*self._names, *(previous if isinstance(previous, list) else ()), UNFINISHED)
         stale = [name for name in names if name not in keep]
         with files.replace_directory(self.path, instead_of=stale) as waiting:
             for name, content in ((CONFIG, options), (SUMMARY, summary)):
@@ -121,11 +122,6 @@ class ResultFolder:
                 yield
             finally:
                 self._waiting = None
-
-    def _previous_names(self) -> list[str]:
-        """Return names of files of the previous result, perhaps of another command."""
-        names = self._saved().get("files")
-        return [name for name in names if is_plain_name(name)] if isinstance(names, list) else []
 
     def write(self, name: str, fill: Callable[[Path], object]) -> None:
         with files.atomic_write((self._waiting or self.path) / name) as part:

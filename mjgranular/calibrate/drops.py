@@ -11,7 +11,7 @@ from mjgranular.calibrate.motion import Errors, Motion, relative, rms
 from mjgranular.calibrate.runs import GRAVITY, Run
 from mjgranular.calibrate.simulate import Simulator, lowest_depth
 from mjgranular.calibrate.trial import Series, Trial
-from mjgranular.errors import InputError, shown
+from mjgranular.errors import InputError
 from mjgranular.experiment.drop import Drop, load, start_from
 from mjgranular.models import Projectile
 from mjgranular.sand.prepare import geoms_in_sand
@@ -34,6 +34,8 @@ _STEP_RANGE = (1e-5, 5e-4)  # range of the time step [s]; chosen
 _AFTER = 1.5  # rows are used up to this many times the time to rest: later rows add nothing
 _BEFORE = 0.1  # and from this part of it before the touch: rows in the air do not depend on sand
 _LEAST_PITCH = 10.0  # scale of a pitch that hardly changes [degrees]; chosen
+_STILL = 1e-6  # largest velocity at which a body counts as at rest [m/s], [rad/s]; chosen
+_CHECK_EVERY = 8  # steps between two checks for rest
 _TOUCH = 0.03  # parts of the depth by which the first touch may be off; chosen
 
 
@@ -98,8 +100,10 @@ def find_arrest(since: np.ndarray, depth: np.ndarray) -> Arrest:
     return Arrest(final, None if at >= last or np.ptp(alike) > _VAGUE * at else at)
 
 
-def check_units(time: np.ndarray, depth: np.ndarray, speed: float, size: float, where: str) -> None:
+def check_units(run: Run, time: np.ndarray) -> None:
     """Check that depths and times are plausible in meters and seconds."""
+    depth, speed = run.motion.depth, run.speed
+    size = run.body.reach if isinstance(run.body, Projectile) else math.inf
     greatest = float(depth.max())
     near = np.flatnonzero(depth >= 0.9 * greatest)[0]
     begin = np.flatnonzero(depth[: near + 1] <= _BEGINNING * greatest)
@@ -108,8 +112,8 @@ def check_units(time: np.ndarray, depth: np.ndarray, speed: float, size: float, 
     of_free_fall = 0.9 * greatest / (speed * took + GRAVITY * took**2 / 2)
     low, high = _PLAUSIBLE
     if not low <= of_free_fall <= high or greatest > 50 * size:
-        raise InputError(
-            f"{where}: {greatest:.4g} m deep after {took:.3g} s at {speed:g} m/s is implausible: "
+        raise run.error(
+            f"{greatest:.4g} m deep after {took:.3g} s at {speed:g} m/s is implausible: "
             "name units, such as 'depth [mm]' and 'time [ms]', and check the speed"
         )
 
@@ -131,27 +135,23 @@ class DropTrial(Trial):
 
     def __init__(self, run: Run) -> None:
         self.run = run
-        self._where = f"run {shown(run.name)}"
         self._speed = run.speed
         self.speeds = (self._speed,)
         time, depth, pitch = run.motion.time, run.motion.depth, run.motion.pitch
         assert time is not None
         if len(time) < 4:
-            raise InputError(f"{self._where}: a trajectory needs at least 4 rows, got {len(time)}")
+            raise run.error(f"a trajectory needs at least 4 rows, got {len(time)}")
         if depth.max() <= 0:
-            raise InputError(
-                f"{self._where}: no contact: depths, positive downward, are at most "
-                f"{depth.max():.4g} m"
+            raise run.error(
+                f"no contact: depths, positive downward, are at most {depth.max():.4g} m"
             )
         falls = run.kind == "drop"  # a model starts at its first row
         if falls and depth[-1] < min(depth[0], 0.0):
-            raise InputError(
-                f"{self._where}: the body ends {-depth[-1]:.4g} m above the sand: "
-                "depths are positive downward"
+            raise run.error(
+                f"the body ends {-depth[-1]:.4g} m above the sand: depths are positive downward"
             )
         if self._speed > 0 or falls:
-            size = run.body.reach if isinstance(run.body, Projectile) else math.inf
-            check_units(time, depth, self._speed, size, self._where)
+            check_units(run, time)
         self.touch = find_touch(time, depth, self._speed) if falls else float(time[0])
         since = time - self.touch
         curves = [np.maximum(depth, 0.0)]
@@ -162,7 +162,12 @@ class DropTrial(Trial):
         self.places = time[used]
         self.series = (Series("depth", depth[used], float(depth.max())),)
         if pitch is not None:
-            self._check_pitch(float(pitch[0]))
+            angle = round(math.degrees(run.angle), 9)
+            if abs(pitch[0] - angle) > 10:
+                raise run.error(
+                    f"the angle is {angle:g} and the first pitch {pitch[0]:.3g} degrees: both are "
+                    "that of the axis from the vertical; a column in radians is 'pitch [rad]'"
+                )
             scale = max(_LEAST_PITCH, float(np.ptp(pitch)))
             self.series += (Series("pitch", pitch[used], scale),)
         self.arrest = find_arrest(self.places - self.touch, depth[used])
@@ -171,22 +176,12 @@ class DropTrial(Trial):
             off = max(_TOUCH * float(depth.max()) / self._speed, float(np.median(np.diff(time))))
             self.shift, self.shift_range = self.touch, (self.touch - off, self.touch + off)
 
-    def _check_pitch(self, first: float) -> None:
-        """Check the first pitch [degrees] against the angle of the run."""
-        angle = round(math.degrees(self.run.angle), 9)
-        if abs(first - angle) > 10:
-            raise InputError(
-                f"{self._where}: the angle is {angle:g} and the first pitch {first:.3g} degrees: "
-                "both are that of the axis from the vertical; a column in radians is 'pitch [rad]'"
-            )
-
     def _make_simulator(self, duration: float) -> Simulator:
         self._timestep = float(np.clip(duration / _STEPS, *_STEP_RANGE))
         self._duration = duration + self._timestep
-        projectile = self.run.body
-        self._qpos = np.array(projectile.touching(self.run.angle), float)
-        self._qvel = np.array(projectile.moving(self.run.angle, self._speed, 0.0, 0.0), float)
-        return Simulator(projectile.model(self._timestep), Implicit(), ("link",))
+        body, angle = self.run.body, self.run.angle
+        self._qpos, self._qvel = body.touching(angle), body.moving(angle, self._speed, 0.0, 0.0)
+        return Simulator(body.model(self._timestep), Implicit())
 
     def simulate(self, material: Material) -> Motion:
         self._simulator.use(material)
@@ -207,8 +202,15 @@ class DropTrial(Trial):
         # MuJoCo's velocities lie half a step before its positions (docs/scheme.md).
         qvel[1] += timestep / 2 * GRAVITY
         simulator.reset(self._qpos, qvel)
-        path = simulator.move(steps * parts, lambda: simulator.data.qpos, until_rest=True)
-        return np.vstack([self._qpos, path[parts - 1 :: parts]])
+        path = np.empty((1 + steps * parts, len(self._qpos)))
+        path[0] = self._qpos
+        for step in range(1, len(path)):
+            simulator.step()
+            path[step] = simulator.data.qpos
+            if step % _CHECK_EVERY == 0 and np.abs(simulator.data.qvel).max() < _STILL:
+                path[step:] = path[step]
+                break
+        return path[::parts]
 
     def since(self, shift: float | None) -> np.ndarray:
         return self.places - (self.touch if shift is None else shift)
@@ -221,14 +223,14 @@ class DropTrial(Trial):
         found[0] += self._speed * above + GRAVITY / 2 * above**2
         return found
 
-    def errors(self, outcome: Motion, shift: float | None) -> Errors:
-        off, depth = self.off(outcome, shift), self.predicted(outcome, shift)[0]
-        measured, predicted = self.arrest, find_arrest(self.since(shift), depth)
+    def errors(self, predicted: list[np.ndarray], shift: float | None) -> Errors:
+        arrest = find_arrest(self.since(shift), predicted[0])
+        off = [rms(p - s.values) for p, s in zip(predicted, self.series, strict=True)]
         return Errors(
-            depth=predicted.depth / measured.depth - 1,
-            stopping_time=relative(measured.time, predicted.time),
-            trajectory=rms(off[0]) / self.series[0].scale,
-            pitch=rms(off[1]) if len(off) > 1 else None,
+            depth=arrest.depth / self.arrest.depth - 1,
+            stopping_time=relative(self.arrest.time, arrest.time),
+            trajectory=off[0] / self.series[0].scale,
+            pitch=off[1] if len(off) > 1 else None,
         )
 
 
@@ -241,9 +243,9 @@ class ModelTrial(DropTrial):
         (body,) = find_all(model, "body", run.model_body)
         floors = find_floors(model, geoms_in_sand(model, SandSpec()), Plane())
         if floors:
-            raise InputError(
-                f"{self._where}: {describe_floors(model, floors, WOULD_CARRY)}: remove it from the "
-                "model, the sand is in its place"
+            raise run.error(
+                f"{describe_floors(model, floors, WOULD_CARRY)}: remove it from the model, the "
+                "sand is in its place"
             )
         data = mujoco.MjData(model)
         start_from(model, data, run.keyframe)
@@ -252,9 +254,7 @@ class ModelTrial(DropTrial):
         if self._speed:
             joint = model.body_jntadr[model.body_rootid[body]]
             if joint < 0 or model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_FREE:
-                raise InputError(
-                    f"{self._where}: a speed is for a free joint; use a keyframe with velocities"
-                )
+                raise run.error("a speed is for a free joint; use a keyframe with velocities")
             self._qvel[model.jnt_dofadr[joint] + 2] -= self._speed
         return Simulator(model, Implicit())
 
@@ -264,9 +264,8 @@ class ModelTrial(DropTrial):
         if not len(simulator.depths_of(self._body)):
             raise InputError(f"the body {self.run.model_body!r} does not meet the sand")
         simulator.reset(self._qpos, self._qvel)
-        depth = simulator.move(self._steps, lambda: simulator.depths_of(self._body).max())
-        return Motion(depth=depth, time=simulator.model.opt.timestep * np.arange(len(depth)))
-
-    def predicted(self, outcome: Motion, shift: float | None) -> list[np.ndarray]:
-        assert outcome.time is not None
-        return [np.interp(self.since(None), outcome.time, outcome.depth)]
+        depth = np.empty(self._steps)
+        for k in range(self._steps):
+            simulator.step()
+            depth[k] = simulator.depths_of(self._body).max()
+        return Motion(depth=depth, time=simulator.model.opt.timestep * np.arange(self._steps))

@@ -22,7 +22,7 @@ from mjgranular.calibrate.intervals import (
 from mjgranular.calibrate.material import Material
 from mjgranular.calibrate.motion import Errors
 from mjgranular.calibrate.runs import Run
-from mjgranular.calibrate.trial import Problem, PushTrial, RowsTrial, Trial
+from mjgranular.calibrate.trial import Problem, PushTrial, Trial
 from mjgranular.errors import (
     InputError,
     RangeWarning,
@@ -73,7 +73,7 @@ class Fit:
         for run in self.runs:
             check_kind(run, Run, "a fit")
             if run.guided:
-                raise InputError(f"run {shown(run.name)}: a guided body cannot be fitted to")
+                raise run.error("a guided body cannot be fitted to")
         names = [run.name for run in self.runs]
         for name in names:
             if names.count(name) > 1:
@@ -83,10 +83,7 @@ class Fit:
                 raise UnknownNameError("run to hold out", name, names)
         if not set(names) - set(self.hold_out):
             raise InputError("there is no run to fit to: at least one must not be held out")
-        material = self.material
-        material.check_free(self.free)
-        for name in self.free:
-            material.has_start(name)
+        self.material.check_free(self.free)
 
     @property
     def material(self) -> Material:
@@ -182,7 +179,7 @@ def run_fit(fit: Fit, *, progress: Callable[[int], None] | None = None) -> FitRe
     _check_enough(fitted, fit.free)
     start = _with_starts(fit, fitted)
     problem = Problem(fitted, start, fit.free, progress)
-    x = problem.start()
+    x = problem.start
     if any(outcome is None for outcome in problem.outcomes(x)):
         raise UnstableError(f"a run diverges with {start.law}: start from other constants")
     inner = 1e-6 * np.where(np.isfinite(problem.range), problem.range, 0.0)
@@ -204,7 +201,7 @@ def _trial(run: Run) -> Trial:
     if run.kind in ("drop", "model"):
         return DropTrial(run) if run.kind == "drop" else ModelTrial(run)
     of_rows = isinstance(run.body, Path) or (run.kind == "drag" and run.depth is None)
-    return RowsTrial(run) if of_rows else PushTrial(run)
+    return Trial(run) if of_rows else PushTrial(run)
 
 
 def _check_bodies(runs: Sequence[Run]) -> None:
@@ -238,7 +235,7 @@ def _with_starts(fit: Fit, trials: Sequence[Trial]) -> Material:
             costs = {}
             for value in _SCAN:
                 probe = Problem(trials, material.changed({name: value}), (name,))
-                cost = np.square(probe.residual(probe.start())).sum()
+                cost = np.square(probe.residual(probe.start)).sum()
                 costs[value] = np.inf if np.isnan(cost) else cost
             material = material.changed({name: min(costs, key=costs.__getitem__)})
     return material
@@ -251,14 +248,14 @@ def _result(
     count, names = problem.count, fit.free
     material = problem.material_at(x)
     residual, jacobian = problem.residual(x), problem.jacobian(x)
-    sizes = problem.sizes(np.abs(problem.start()))
+    sizes = problem.sizes(np.abs(problem.start))
     near = _ON_BOUND * sizes
     held = (x - problem.low < near) | (problem.high - x < near)
-    jacobian[:, count:][:, held[count:]] = 0.0  # a touch on its bound cannot move
+    moving = ~held | (np.arange(len(x)) < count)  # a touch on its bound cannot move
+    jacobian[:, ~moving] = 0.0
     scale = np.where(np.abs(x) > near, np.abs(x), sizes)[:count]
-    moving = np.concatenate([np.arange(count), count + np.flatnonzero(~held[count:])])
-    blocks, size = problem.blocks(), problem.sizes(scale)[moving]
-    half, correlation = spread_of(jacobian[:, moving], residual, blocks, problem.runs(), size)
+    blocks, size = problem.blocks, problem.sizes(scale)[moving]
+    half, correlation = spread_of(jacobian[:, moving], residual, blocks, problem.runs, size)
     information = information_of(jacobian, scale)
     relative = half[:count] / scale
     one_speed = trades_off(problem.trials, material, names)
@@ -266,13 +263,12 @@ def _result(
     good = ~flat & (relative <= WIDE)
     runs, held_out, curves = {}, {}, {}
     for name, trial in trials.items():
-        outcome = trial.simulate(material)
-        fitted = trial in problem.trials
-        shift = problem.shift_of(x, problem.trials.index(trial)) if fitted else trial.shift
-        (runs if fitted else held_out)[name] = trial.errors(outcome, shift)
+        fitted, shift = trial in problem.trials, problem.shift_of(x, trial)
+        predicted = trial.predicted(trial.simulate(material), shift)
+        (runs if fitted else held_out)[name] = trial.errors(predicted, shift)
         curves[name] = tuple(
             Curve(trial.axis, s.name, trial.since(shift), s.values, values, not fitted)
-            for s, values in zip(trial.series, trial.predicted(outcome, shift), strict=True)
+            for s, values in zip(trial.series, predicted, strict=True)
         )
     return FitResult(
         start=start,

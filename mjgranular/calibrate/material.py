@@ -23,6 +23,13 @@ _LARGEST = 1e9  # times the start: a value that a law accepts here it accepts an
 _BISECTIONS = 100
 
 
+def numbers_of(kind: type[Law], types: tuple[type, ...] = (float, int)) -> tuple[str, ...]:
+    """Return the names of the fields of a law that are numbers of some types."""
+    hints = get_type_hints(kind)
+    every = fields(kind)  # pyright: ignore[reportArgumentType]
+    return tuple(field.name for field in every if hints[field.name] in types)
+
+
 @dataclass(frozen=True)
 class Material:
     """A law, its medium, and a factor on its static resistance.
@@ -59,9 +66,7 @@ class Material:
 
     @cached_property
     def _numbers(self) -> tuple[str, ...]:
-        kinds = get_type_hints(type(self.law))
-        every = fields(self.law)  # pyright: ignore[reportArgumentType]
-        return tuple(field.name for field in every if kinds[field.name] is float)
+        return numbers_of(type(self.law), (float,))
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -122,6 +127,8 @@ class Material:
                     f"strength is a factor on {', '.join(self._stronger)}: fit one of strength "
                     f"and {both[0]}, not both"
                 )
+        for name in names:
+            self.has_start(name)
 
     def has_start(self, name: str) -> bool:
         """Return True if a fit can start from the current value: not from a default on a bound.
@@ -171,10 +178,9 @@ class Material:
     def constants(self) -> dict[str, float]:
         """Return the law's constants that a medium must have: all but defaults."""
         defaults = {f.name: f.default for f in fields(self.law)}  # pyright: ignore[reportArgumentType]
-        kept = [k for k, v in defaults.items() if k in self._numbers or isinstance(v, bool)]
-        values = {name: float(getattr(self.law, name)) for name in kept}
         return {
-            name: value
-            for name, value in values.items()
-            if name in self.given or value != defaults[name]  # MISSING equals no value
+            name: float(getattr(self.law, name))
+            for name, default in defaults.items()
+            if (name in self._numbers or isinstance(default, bool))
+            and (name in self.given or getattr(self.law, name) != default)  # MISSING equals none
         }

@@ -2,12 +2,12 @@
 
 from dataclasses import MISSING, asdict, fields, replace
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import Any
 
 from mjgranular._util.checks import require
 from mjgranular._util.io import place
 from mjgranular.calibrate.fit import FitResult
-from mjgranular.calibrate.material import DENSITY, STRENGTH
+from mjgranular.calibrate.material import DENSITY, STRENGTH, numbers_of
 from mjgranular.errors import InputError
 from mjgranular.law import DistributedLinkLaw, Law, LinkLaw, law_in, laws
 from mjgranular.medium import Medium, Quantity, get_medium
@@ -38,7 +38,7 @@ def known_medium(
         kind = laws[base.default_law]
     else:
         raise InputError(f"{where} has no base whose law could be taken: name the law (--law)")
-    numbers, key = _numbers_of(kind), _table(kind)
+    numbers, key = numbers_of(kind), _table(kind)
     given = _given(entry, kind, where, source or f"given in {path.name}")
     density = given.get("density") or (base and base.density)
     if density is None:
@@ -69,7 +69,7 @@ def known_medium(
 def _given(entry: dict[str, Any], kind: type[Law], where: str, source: str) -> dict[str, Quantity]:
     """Return density, grain size and constants of a law that a mapping has."""
     units = {"density": "kg/m^3", "grain": "m"}
-    names = [*units, *(name for name in _numbers_of(kind) if name not in units)]
+    names = [*units, *(name for name in numbers_of(kind) if name not in units)]
     keys = dict.fromkeys((*_MEDIUM_KEYS, *names))
     check_mapping(entry, f"{where} with the law {kind.name!r}", keys)
     return {
@@ -77,12 +77,6 @@ def _given(entry: dict[str, Any], kind: type[Law], where: str, source: str) -> d
         for key in entry
         if key in names
     }
-
-
-def _numbers_of(kind: type[Law]) -> list[str]:
-    hints = get_type_hints(kind)
-    every = fields(kind)  # pyright: ignore[reportArgumentType]
-    return [field.name for field in every if hints[field.name] in (float, int)]
 
 
 def _table(kind: type[Law]) -> str:

@@ -63,12 +63,12 @@ class Motion:
         if touch is not None and self.to_the_stop:
             return float(self.time[-1] - touch)
         k = int(np.argmax(speed))
-        slow = np.flatnonzero(speed[k:] < _STOPPED * speed[k])
+        limit = _STOPPED * speed[k]
+        slow = np.flatnonzero(speed[k:] < limit)
         if not len(slow) or touch is None:
             return None
         i = k + int(slow[0])
-        part = (speed[i - 1] - _STOPPED * speed[k]) / (speed[i - 1] - speed[i])
-        return float(self.time[i - 1] + part * (self.time[i] - self.time[i - 1]) - touch)
+        return float(np.interp(limit, speed[[i, i - 1]], self.time[[i, i - 1]]) - touch)
 
     @property
     def peak_force(self) -> float | None:
@@ -90,10 +90,8 @@ def _touch(time: np.ndarray, depth: np.ndarray) -> float | None:
     if not len(inside):
         return None
     i = int(inside[0])
-    if i == 0:
-        return float(time[0])
-    part = -depth[i - 1] / (depth[i] - depth[i - 1])
-    return float(time[i - 1] + part * (time[i] - time[i - 1]))
+    rows = slice(max(0, i - 1), i + 1)
+    return float(np.interp(0.0, depth[rows], time[rows]))
 
 
 @dataclass(frozen=True)
@@ -202,7 +200,7 @@ def _compare_forces(measured: Motion, simulated: Motion) -> Errors:
     if measured.lift is not None and simulated.lift is not None and not sinks:
         lift = gain(measured.lift, simulated.lift)
     return Errors(
-        trajectory=float(np.sqrt((error**2).mean()) / np.linalg.norm(forces, axis=0).max()),
+        trajectory=rms(error) / float(np.linalg.norm(forces, axis=0).max()),
         depth=float((simulated.depth / measured.depth).mean()) - 1 if sinks else None,
         force=force,
         lift=lift,

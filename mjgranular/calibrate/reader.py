@@ -134,8 +134,7 @@ def _run(entry: dict[str, Any], where: str, path: Path) -> Run:
     values |= {key: entry[key] for key in _NAMES if entry.get(key) is not None}
     if entry.get("model") is not None:
         values["model"] = path.parent / str(entry["model"])
-    columns = _columns(entry, where)
-    return Run(entry["name"], entry["kind"], path.parent / entry["data"], columns=columns, **values)
+    return Run(entry["name"], entry["kind"], path.parent / entry["data"], **values)
 
 
 def _scored_run(entry: dict[str, Any], where: str, path: Path, *, about: dict[str, Any]) -> Run:
@@ -145,7 +144,7 @@ def _scored_run(entry: dict[str, Any], where: str, path: Path, *, about: dict[st
         raise UnknownNameError("kind of run", kind, _SCORED_KINDS)
     check_mapping(entry, where, _SCORED_KEYS)
     values: dict[str, Any] = {"speed": 0.0} | _common(entry, where, path)
-    table = read_table(path.parent / entry["data"], *COLUMNS[kind], _columns(entry, where))
+    table = read_table(path.parent / entry["data"], *COLUMNS[kind], values.pop("columns"))
     motion = motion_of(table, values.get("depth"), to_the_stop=name in about["to_the_stop"])
     guided, mark = name in about["guided"], about["marks"].get(name, "seen")
     run = Run(name, kind, motion=motion, guided=guided, mark=mark, **values)
@@ -154,7 +153,7 @@ def _scored_run(entry: dict[str, Any], where: str, path: Path, *, about: dict[st
 
 
 def _common(entry: dict[str, Any], where: str, path: Path) -> dict[str, Any]:
-    """Return the numbers of a run, its angle in radians, and its body."""
+    """Return the numbers of a run, its angle in radians, its body and headings of columns."""
     values: dict[str, Any] = _numbers(entry, where)
     if "angle" in values:
         values["angle"] = math.radians(values["angle"])
@@ -165,19 +164,15 @@ def _common(entry: dict[str, Any], where: str, path: Path) -> dict[str, Any]:
         values["body"] = path.parent / str(body["file"])
     elif body is not None:
         values["body"] = _body(body, f"{where}.body")
+    columns = values["columns"] = entry.get("columns") or {}
+    if not (isinstance(columns, dict) and all(isinstance(c, str) for c in columns.values())):
+        raise InputError(f"{where}.columns maps names such as force to headings of the file")
     return values
 
 
 def _numbers(entry: dict[str, Any], where: str, keys: Sequence[str] = _NUMBERS) -> dict[str, float]:
     given = [key for key in keys if entry.get(key) is not None]
     return {key: number(entry[key], f"{where}.{key}") for key in given}
-
-
-def _columns(entry: dict[str, Any], where: str) -> dict[str, str]:
-    columns = entry.get("columns") or {}
-    if not (isinstance(columns, dict) and all(isinstance(c, str) for c in columns.values())):
-        raise InputError(f"{where}.columns maps names such as force to headings of the file")
-    return columns
 
 
 def _body(entry: Any, where: str) -> Body:

@@ -165,43 +165,44 @@ class Run:
         for name in ("speed", "depth"):
             value = getattr(self, name)
             if value is not None and not is_finite(value):
-                raise self._error(f"{name} must be a finite number, got {shown(value)}")
+                raise self.error(f"{name} must be a finite number, got {shown(value)}")
         if not (is_finite(self.angle) and abs(self.angle) <= math.pi / 2):
-            raise self._error("the angle from the vertical must be from -90 to 90 degrees")
+            raise self.error("the angle from the vertical must be from -90 to 90 degrees")
         if self.kind == "drop" and self.speed is None:
-            raise self._error("a drop needs the speed at which it meets the sand")
+            raise self.error("a drop needs the speed at which it meets the sand")
         speed = self.speed or (_PUSH_SPEED if self.kind == "intrude" else 0.0)
         if speed < 0 and self.kind != "turn":
-            raise self._error(f"the downward speed must not be negative, got {speed}")
+            raise self.error(f"the downward speed must not be negative, got {speed}")
         object.__setattr__(self, "speed", speed)
         if data is not None:
             object.__setattr__(self, "motion", self._read(data, columns))
         self._check_motion()
 
-    def _error(self, problem: str) -> InputError:
+    def error(self, problem: str) -> InputError:
+        """Return an error that names the run."""
         return InputError(f"run {shown(self.name)}: {problem}")
 
     def _check_body(self) -> None:
         """Check that the run has a body of the right kind, with the joints that it needs."""
         if self.kind == "model":
             if self.model is None or self.model_body is None:
-                raise self._error(
+                raise self.error(
                     "a run of a model needs model, an MJCF file, and model_body, the name of the "
                     "body that was measured"
                 )
             object.__setattr__(self, "body", self.model)
         elif self.body is None:
-            raise self._error(
+            raise self.error(
                 f"a {self.kind} needs a body, such as {{shape: sphere, diameter: 0.0254}}"
             )
         elif not isinstance(self.body, Path | Projectile):
-            raise self._error(
+            raise self.error(
                 f"a body must be a Body or the Path of an MJCF file, got {shown(self.body)}"
             )
         elif isinstance(self.body, Path):
             needed = _JOINTS.get(self.kind)
             if needed is None:
-                raise self._error(f"a {self.kind} needs a shape, not a file")
+                raise self.error(f"a {self.kind} needs a shape, not a file")
             spec = load_machine(self.body)
             names = [joint.name for joint in spec.joints]
             for name in needed:
@@ -210,16 +211,16 @@ class Run:
             if self.kind == "walk" and not spec.keys:
                 raise InputError(f"{shown(self.shape)}: a walk needs a keyframe to start from")
         elif self.kind in ("turn", "roll", "sink", "walk"):
-            raise self._error(f"a {self.kind} needs a body from a file: {{file: leg.xml}}")
+            raise self.error(f"a {self.kind} needs a body from a file: {{file: leg.xml}}")
         elif self.kind == "drop" and not getattr(self.body, "is_heavy", True):
-            raise self._error("a body that is dropped needs its mass [kg]")
+            raise self.error("a body that is dropped needs its mass [kg]")
 
     def _check_unused(self) -> None:
         """Check that no argument is given that this kind of run does not use."""
         users = {"depth": "drag", "model": "model", "model_body": "model", "keyframe": "model"}
         for name, kind in users.items():
             if getattr(self, name) is not None and self.kind != kind:
-                raise self._error(f"{name} is for runs of the kind {kind}, not for a {self.kind}")
+                raise self.error(f"{name} is for runs of the kind {kind}, not for a {self.kind}")
 
     def _read(self, data: Path | Mapping[str, Any], columns: Mapping[str, str] | None) -> Motion:
         """Read the columns that a fit takes, in SI units and degrees."""
@@ -230,32 +231,31 @@ class Run:
             return motion_of(read_table(Path(data), needed, optional, columns), self.depth)
         for column in needed:
             if column not in data:
-                raise self._error(f"it has no column {column!r}; needed: {', '.join(needed)}")
+                raise self.error(f"it has no column {column!r}; needed: {', '.join(needed)}")
         found = {k: np.asarray(v, float) for k, v in data.items() if k in needed + optional}
         shape = found[needed[0]].shape
         if shape == (0,):
-            raise self._error("its columns have no rows")
+            raise self.error("its columns have no rows")
         if len(shape) != 1 or any(values.shape != shape for values in found.values()):
-            raise self._error("all columns must have the same length")
+            raise self.error("all columns must have the same length")
         if not all(np.isfinite(values).all() for values in found.values()):
-            raise self._error("all columns must be finite numbers")
+            raise self.error("all columns must be finite numbers")
         return motion_of(found, self.depth)
 
     def _check_motion(self) -> None:
         """Check that what is needed was measured."""
         if not isinstance(self.motion, Motion):
-            raise self._error("it needs data, a CSV file or columns by their names")
+            raise self.error("it needs data, a CSV file or columns by their names")
         time = self.motion.time
         if self.kind in ("drop", "model") and time is None:
-            raise self._error(f"a {self.kind} needs a column of times")
+            raise self.error(f"a {self.kind} needs a column of times")
         if self.kind not in ("drop", "model", "walk") and self.motion.force is None:
-            raise self._error(f"a {self.kind} needs a column of forces")
+            raise self.error(f"a {self.kind} needs a column of forces")
         if self.kind == "drag" and not (self.depth or self.motion.depth.max()) > 0:
-            raise self._error("a drag needs the depth of the body's lowest point [m]")
-        back = [] if time is None else np.flatnonzero(np.diff(time) <= 0)
-        if time is not None and len(back):
-            row = int(back[0])
-            raise self._error(
+            raise self.error("a drag needs the depth of the body's lowest point [m]")
+        if time is not None and (np.diff(time) <= 0).any():
+            row = int(np.argmax(np.diff(time) <= 0))
+            raise self.error(
                 f"times must grow, got {time[row + 1]:g} after {time[row]:g} s in row {row + 2}"
             )
 
@@ -263,7 +263,7 @@ class Run:
         """Check that a drop begins at the sand, where its speed is known."""
         above = -self.motion.depth[0]
         if self.kind == "drop" and above > self.motion.depth.max() / 2:  # chosen
-            raise self._error(
+            raise self.error(
                 f"it begins {above:.3g} m above the sand, and the speed is that of its first row: "
                 "omit rows before the touch"
             )

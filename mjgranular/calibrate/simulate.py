@@ -13,12 +13,11 @@ import numpy as np
 from mjgranular.calibrate.material import Material
 from mjgranular.calibrate.motion import Motion
 from mjgranular.calibrate.runs import Run, load_machine
-from mjgranular.errors import GranularWarning, InputError, UnstableError, shown
+from mjgranular.errors import GranularWarning, UnstableError
 from mjgranular.kernel.compiled import entry
 from mjgranular.law import Law
 from mjgranular.medium import Medium, get_medium
 from mjgranular.models import Projectile
-from mjgranular.models.link import offset
 from mjgranular.sand.binding import Binding, bind
 from mjgranular.sand.guard import finish_step, guarded_step
 from mjgranular.sand.prepare import PreparedSand, prepare
@@ -36,8 +35,6 @@ _HEAVY_BODY = 1e4  # mass or inertia of a body that keeps its speed [kg, kg m^2]
 _SETTLES = 0.01  # sinking speed of a wheel of given sinkage, in parts of its speed; chosen
 _ROLLED, _ROLL_STEP = 0.2, 1e-2  # path [m] and step [s]; halving either changes 3 % at most
 _WALK_STEP, _CYCLES = 1e-3, 2  # [s]; turns to become steady, and then to average
-_STILL = 1e-6  # largest velocity at which a body counts as at rest [m/s], [rad/s]; chosen
-_CHECK_EVERY = 8  # steps between two checks for rest
 
 
 class Simulator:
@@ -49,50 +46,46 @@ class Simulator:
     change too. The scheme is for free motion, or for forces on a prescribed motion.
     """
 
-    def __init__(
-        self,
-        model: mujoco.MjModel,
-        scheme: Scheme | str = "auto",
-        bodies: tuple[str, ...] | None = None,
-    ) -> None:
-        self.model = model
+    def __init__(self, model: mujoco.MjModel, scheme: Scheme | str) -> None:
+        self.model, self._scheme = model, scheme
         self.data = mujoco.MjData(model)
-        self._scheme, self._bodies = scheme, bodies
+        self._guarded = entry(guarded_step, "int64(int64, int64, float64)")
+        self._finish = entry(finish_step, "int64(int64)")
         self._prepared: PreparedSand
         self._binding: Binding
-        self._material: Material | None = None
+        self._material: Material | None = None  # of the binding
         self._harmless: set[frozenset[str]] = set()  # constants that elements do not depend on
 
     def use(self, material: Material) -> None:
-        law, before, changed = material.law, self._material, None
-        if (
-            before is not None
-            and type(before.law) is type(law)
-            and law.kernel(self._prepared.surface) is self._prepared.kernel
-        ):
-            changed = _changed(before, material)
-        if changed not in self._harmless:
-            prepared = self._prepare(material)
+        law, medium, changed = material.law, material.medium, self._changed(material)
+        if changed is None or changed not in self._harmless:
+            spec = SandSpec(medium=medium, law=law, scheme=self._scheme)
+            with warnings.catch_warnings():  # the model is made for this; the law is still unknown
+                warnings.simplefilter("ignore", GranularWarning)
+                prepared = prepare(self.model, spec)
             if changed is None or not np.array_equal(prepared.elements, self._prepared.elements):
-                self._bind(prepared, material)
-                return
-            self._harmless.add(changed)
-        self._prepared.scene["law"][:] = law.parameters(material.medium)
+                self.data = mujoco.MjData(self.model)  # the old sand has addresses in the last one
+                self._prepared, self._material = prepared, material
+                self._binding = bind(self.model, self.data, prepared)
+                self._harmless.clear()
+            else:
+                self._harmless.add(changed)
+        self._prepared.scene["law"][:] = law.parameters(medium)
 
-    def _prepare(self, material: Material) -> PreparedSand:
-        law, medium = material.law, material.medium
-        spec = SandSpec(medium=medium, law=law, scheme=self._scheme, bodies=self._bodies)
-        with warnings.catch_warnings():  # the model is made for this, and the law is still unknown
-            warnings.simplefilter("ignore", GranularWarning)
-            return prepare(self.model, spec)
-
-    def _bind(self, prepared: PreparedSand, material: Material) -> None:
-        self.data = mujoco.MjData(self.model)  # data bound to the old sand has its addresses
-        self._prepared, self._material = prepared, material
-        self._binding = bind(self.model, self.data, prepared)
-        self._guarded = entry(guarded_step, "int64(int64, int64, float64)")
-        self._finish = entry(finish_step, "int64(int64)")
-        self._harmless.clear()
+    def _changed(self, material: Material) -> frozenset[str] | None:
+        """Return the constants that differ from those of the bound sand; None for other kernels."""
+        if self._material is None:
+            return None
+        before, after = self._material.law, material.law
+        if type(before) is not type(after) or (
+            after.kernel(self._prepared.surface) is not self._prepared.kernel
+        ):
+            return None
+        every = fields(before)  # pyright: ignore[reportArgumentType]
+        names = {f.name for f in every if getattr(before, f.name) != getattr(after, f.name)}
+        if self._material.medium != material.medium:
+            names.add("medium")
+        return frozenset(names)
 
     def depths_of(self, body: int) -> np.ndarray:
         """Return the depth of each element of a body at the last force [m]."""
@@ -100,7 +93,7 @@ class Simulator:
 
     def _check(self, status: int) -> None:
         if status != FINE:
-            time, law = self.data.time, self._material.law if self._material else ""
+            time, law = self.data.time, self._prepared.law
             raise UnstableError(f"the simulation diverged at t = {time:.4g} s with {law}")
 
     def _act(self, lead: float) -> None:
@@ -116,24 +109,6 @@ class Simulator:
         mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[:], self.data.qvel[:] = qpos, qvel
 
-    def move(
-        self, steps: int, look: Callable[[], np.ndarray], *, until_rest: bool = False
-    ) -> np.ndarray:
-        """Advance `data`, and return what `look` returns after each step.
-
-        At rest, if that is asked for, it stops and repeats the last row from there on.
-        """
-        first = np.asarray(look())
-        rows = np.empty((steps, *first.shape))
-        speed = self.data.qvel
-        for step in range(1, steps + 1):
-            self.step()
-            rows[step - 1] = look()
-            if until_rest and step % _CHECK_EVERY == 0 and np.abs(speed).max() < _STILL:
-                rows[step:] = rows[step - 1]
-                break
-        return rows
-
     def force(self) -> np.ndarray:
         """Return the sand's force on the model at the state in `data` [N], world, shape (3,)."""
         model, data = self.model, self.data
@@ -145,13 +120,6 @@ class Simulator:
         total = data.xfrc_applied[:, :3].sum(axis=0)
         data.xfrc_applied[:] = 0.0
         return total
-
-
-def _changed(before: Material, after: Material) -> frozenset[str]:
-    """Return the names of the constants by which two materials differ."""
-    every = fields(before.law)  # pyright: ignore[reportArgumentType]
-    names = {f.name for f in every if getattr(before.law, f.name) != getattr(after.law, f.name)}
-    return frozenset(names | ({"medium"} if before.medium != after.medium else set()))
 
 
 def simulate(
@@ -179,35 +147,43 @@ def simulate(
         UnknownNameError: no such law or medium.
     """
     if run.kind == "model":
-        raise InputError(f"run {shown(run.name)}: a run of a model can only be fitted")
+        raise run.error("a run of a model can only be fitted")
     run.check_start()
     return simulate_with(run, Material.of(get_medium(medium), law), {}, timestep=timestep)
 
 
 def simulate_with(
-    run: Run, material: Material, simulators: dict[str, Simulator], *, timestep: float = TIMESTEP
+    run: Run,
+    material: Material,
+    simulators: dict[str, Simulator],
+    way: str | None = None,
+    *,
+    timestep: float = TIMESTEP,
 ) -> Motion:
-    """Simulate a run with a simulator among those of the run, to which a missing one is added."""
-    way = run.kind if run.kind in ("drop", "sink", "walk") else "place"
-    if run.kind == "intrude" and material.law.adds_mass:
+    """Simulate a run in one of the ways of `_MOVES`; None for that of its kind.
+
+    Its simulator is one of those of the run, to which a missing one is added.
+    """
+    if way is None and run.kind == "intrude" and material.law.adds_mass:
         way = "push"
+    way = way or (run.kind if run.kind in _MOVES else "place")
     if way not in simulators:
-        simulators[way] = simulator_of(run, way, timestep=timestep)
+        simulators[way] = _simulator_of(run, way, timestep)
     simulators[way].use(material)
     return _MOVES[way](run, simulators[way])
 
 
-def simulator_of(run: Run, way: str, *, timestep: float = TIMESTEP) -> Simulator:
-    """Return a simulator for a measured run, of a way of `_MOVES`."""
+def _simulator_of(run: Run, way: str, timestep: float) -> Simulator:
+    """Return a simulator for a way of `_MOVES`."""
     spec = load_machine(run.body) if isinstance(run.body, Path) else run.body.spec()
     hinges = [joint for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_HINGE]
     chosen: Scheme | str = "implicit"
-    if way in ("drop", "push"):
-        spec.option.timestep = timestep
     if way == "drop":
+        spec.option.timestep = timestep
         for joint in hinges if run.guided else ():
             joint.armature = _HEAVY
-    elif way == "push":
+    elif way in ("push", "press"):
+        spec.option.timestep = timestep
         spec.body("link").mass = _HEAVY_BODY
         for joint in hinges:  # else the body would turn during each step
             joint.armature = _HEAVY_BODY
@@ -223,7 +199,7 @@ def simulator_of(run: Run, way: str, *, timestep: float = TIMESTEP) -> Simulator
                 joint.armature = _HEAVY_BODY
     else:
         chosen = Explicit(prescribed=True)
-    return Simulator(spec.compile(), chosen, None if isinstance(run.body, Path) else ("link",))
+    return Simulator(spec.compile(), chosen)
 
 
 def _drop(run: Run, simulator: Simulator) -> Motion:
@@ -231,21 +207,22 @@ def _drop(run: Run, simulator: Simulator) -> Motion:
     body, q = run.body, run.angle
     assert time is not None
     assert isinstance(body, Projectile)
-    start = np.array(body.touching(q), float)
+    start = body.touching(q)
     start[1] -= depth[0]
-    simulator.reset(start, np.array(body.moving(q, run.speed, 0.0, 0.0)))
+    simulator.reset(start, body.moving(q, run.speed, 0.0, 0.0))
     gravity = float(np.linalg.norm(simulator.model.opt.gravity))
     timestep = simulator.model.opt.timestep
     every = max(1, round(_SAMPLES / timestep))
     last = time[-1] - time[0]
-    rows = [(0.0, *_sample(body, simulator.data))]
-    fastest = run.speed
-    for step in range(1, math.ceil((last + _LONGER) / timestep) + 1):
-        simulator.step()
+    rows, fastest, data = [], run.speed, simulator.data
+    for step in range(math.ceil((last + _LONGER) / timestep) + 1):
+        if step > 0:
+            simulator.step()
         if step % every == 0:
-            rows.append((step * timestep, *_sample(body, simulator.data)))
-            fastest = max(fastest, rows[-1][2])
-            if step * timestep > last and rows[-1][2] < 0.005 * fastest:
+            deepest, speed = lowest_depth(body, data.qpos), -float(data.qvel[1])
+            rows.append((step * timestep, deepest, speed, abs(math.degrees(data.qpos[2]))))
+            fastest = max(fastest, speed)
+            if step * timestep > last and speed < 0.005 * fastest:
                 break
     found = np.array(rows)
     if run.motion.to_the_stop:
@@ -264,20 +241,12 @@ def _drop(run: Run, simulator: Simulator) -> Motion:
     )
 
 
-def _sample(body: Projectile, data: mujoco.MjData) -> tuple[float, float, float]:
-    """Return lowest depth [m], downward speed of C [m/s], angle from vertical [degrees]."""
-    depth = lowest_depth(body, data.qpos)
-    return depth, -float(data.qvel[1]), abs(math.degrees(float(data.qpos[2])))
-
-
 def lowest_depth(body: Projectile, qpos: np.ndarray) -> float:
     """Return the depth of the lowest point of a projectile [m]."""
-    q = float(qpos[2])
-    _, below = offset(body.lowest(q), q)
-    return -(float(qpos[1]) + below)
+    return float(body.touching(float(qpos[2]))[1] - qpos[1])
 
 
-def forces_of_push(run: Run, simulator: Simulator, depths: np.ndarray) -> np.ndarray:
+def _forces_of_push(run: Run, simulator: Simulator, depths: np.ndarray) -> np.ndarray:
     """Return the forces on a body pushed at constant speed, with the sand's inertia, at depths [N].
 
     The body is heavy and is put back on its path after each step; the force is the momentum that
@@ -300,15 +269,20 @@ def forces_of_push(run: Run, simulator: Simulator, depths: np.ndarray) -> np.nda
 def _push(run: Run, simulator: Simulator) -> Motion:
     """Push at constant speed: mean forces between rows."""
     depths, step = run.motion.depth, run.speed * simulator.model.opt.timestep
-    force = [forces_of_push(run, simulator, depths[:1])[0]]
+    force = [_forces_of_push(run, simulator, depths[:1])[0]]
     for before, depth in pairwise(depths):
         count = max(1, round(abs(depth - before) / step))
         way = before + (depth - before) * (np.arange(count) + 0.5) / count
-        force.append(forces_of_push(run, simulator, way).mean())
+        force.append(_forces_of_push(run, simulator, way).mean())
     return Motion(depth=depths, speed=np.full(len(depths), run.speed), force=np.array(force))
 
 
-def place(run: Run, simulator: Simulator) -> Motion:
+def _press(run: Run, simulator: Simulator) -> Motion:
+    """Push at constant speed: forces at the rows."""
+    return replace(run.motion, force=_forces_of_push(run, simulator, run.motion.depth))
+
+
+def _place(run: Run, simulator: Simulator) -> Motion:
     """Return the forces on a body at the pose and velocity of each row."""
     model, data, rows = simulator.model, simulator.data, _rows(run)
     pose = model.qpos0
@@ -379,7 +353,8 @@ def _walk(run: Run, simulator: Simulator) -> Motion:
 _MOVES: dict[str, Callable[[Run, Simulator], Motion]] = {
     "drop": _drop,
     "push": _push,
-    "place": place,
+    "press": _press,
+    "place": _place,
     "sink": _sink,
     "walk": _walk,
 }
@@ -388,13 +363,12 @@ _MOVES: dict[str, Callable[[Run, Simulator], Motion]] = {
 
 def _rows(run: Run) -> list[dict[str, float]]:
     """Return the values of each row, angles in radians; the run's speed if rows have none."""
-    columns = {name: value for name, value in vars(run.motion).items() if np.ndim(value) == 1}
-    columns.setdefault("speed", np.full(len(run.motion.depth), run.speed))
-    rows = [
-        dict(zip(columns, map(float, row), strict=True))
-        for row in zip(*columns.values(), strict=True)
-    ]
-    return [row | {"angle": math.radians(row.get("angle", 0.0))} for row in rows]
+    same = np.ones(len(run.motion.depth))
+    given = {name: value for name, value in vars(run.motion).items() if np.ndim(value) == 1}
+    columns = {"speed": run.speed * same, "angle": 0.0 * same} | given
+    columns["angle"] = np.radians(columns["angle"])
+    rows = zip(*columns.values(), strict=True)
+    return [dict(zip(columns, map(float, row), strict=True)) for row in rows]
 
 
 def _velocity(kind: str, row: dict[str, float]) -> dict[str, float]:

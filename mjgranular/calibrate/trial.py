@@ -1,6 +1,5 @@
 """Runs as the fit sees them: measured data row by row, predictions, and all of their residuals."""
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -9,16 +8,10 @@ from typing import Any
 import numpy as np
 
 from mjgranular.calibrate.material import Material
-from mjgranular.calibrate.motion import Errors, Motion, compare, rms
-from mjgranular.calibrate.runs import Run
-from mjgranular.calibrate.simulate import (
-    Simulator,
-    forces_of_push,
-    place,
-    simulate_with,
-    simulator_of,
-)
-from mjgranular.errors import InputError, UnstableError, shown
+from mjgranular.calibrate.motion import Errors, Motion, compare
+from mjgranular.calibrate.runs import Run, motion_of
+from mjgranular.calibrate.simulate import Simulator, simulate_with
+from mjgranular.errors import UnstableError
 from mjgranular.models import Projectile
 
 _FAR = 10.0  # residual of a run that diverged: ten times what was measured
@@ -50,8 +43,11 @@ class Series:
     scale: float
 
 
-class Trial(ABC):
-    """A run with its data read and checked: values of `series` at `places` of an `axis`."""
+class Trial:
+    """A run with its data read and checked: values of `series` at `places` of an `axis`.
+
+    By default, its rows are simulated and compared one by one.
+    """
 
     carries = 2  # largest number of constants that such a curve can determine; chosen
 
@@ -62,44 +58,6 @@ class Trial(ABC):
     speeds: tuple[float, ...]  # of the run [m/s]
     shift: float | None = None  # time of the touch [s], if it is fitted with the constants
     shift_range: tuple[float, float] = (0.0, 0.0)
-
-    @property
-    def rows(self) -> int:
-        return sum(len(series.values) for series in self.series)
-
-    @abstractmethod
-    def simulate(self, material: Material) -> Motion:
-        """Simulate the run with a material."""
-
-    @abstractmethod
-    def errors(self, outcome: Motion, shift: float | None) -> Errors:
-        """Summarize the errors of a simulated run."""
-
-    def predicted(self, outcome: Motion, shift: float | None) -> list[np.ndarray]:
-        """Return the series as they would have been measured."""
-        return [getattr(outcome, series.name) for series in self.series]
-
-    def since(self, shift: float | None) -> np.ndarray:
-        """Return the places of a curve: times count from the touch."""
-        return self.places
-
-    def off(self, outcome: Motion, shift: float | None) -> list[np.ndarray]:
-        """Return prediction minus measurement of each series."""
-        found = self.predicted(outcome, shift)
-        return [values - s.values for values, s in zip(found, self.series, strict=True)]
-
-    def residual(self, outcome: Motion, shift: float | None) -> np.ndarray:
-        """Return prediction minus measurement, in parts of each scale.
-
-        Divided by the root of the number of rows: every series has the same weight at any frame
-        rate.
-        """
-        scales = (s.scale * np.sqrt(len(s.values)) for s in self.series)
-        return np.concatenate([*map(np.divide, self.off(outcome, shift), scales)])
-
-
-class RowsTrial(Trial):
-    """A run whose rows are compared one by one."""
 
     def __init__(self, run: Run) -> None:
         self.run, motion = run, run.motion
@@ -115,53 +73,64 @@ class RowsTrial(Trial):
         else:
             self.speeds = (float(found.min()), float(found.max()))
 
+    @property
+    def rows(self) -> int:
+        return sum(len(series.values) for series in self.series)
+
     def simulate(self, material: Material) -> Motion:
+        """Simulate the run with a material."""
         return simulate_with(self.run, material, self._simulators)
 
-    def errors(self, outcome: Motion, shift: float | None) -> Errors:
-        return compare(self.run.motion, outcome)
+    def errors(self, predicted: list[np.ndarray], shift: float | None) -> Errors:
+        """Summarize the errors of predicted series."""
+        columns = zip((series.name for series in self.series), predicted, strict=True)
+        return compare(self.run.motion, replace(self.run.motion, **dict(columns)))
+
+    def predicted(self, outcome: Motion, shift: float | None) -> list[np.ndarray]:
+        """Return the series as they would have been measured."""
+        return [getattr(outcome, series.name) for series in self.series]
+
+    def since(self, shift: float | None) -> np.ndarray:
+        """Return the places of a curve: times count from the touch."""
+        return self.places
+
+    def residual(self, predicted: list[np.ndarray]) -> np.ndarray:
+        """Return prediction minus measurement, in parts of each scale.
+
+        Divided by the root of the number of rows: every series has the same weight at any frame
+        rate.
+        """
+        pairs = zip(predicted, self.series, strict=True)
+        return np.concatenate(
+            [(values - s.values) / (s.scale * np.sqrt(len(s.values))) for values, s in pairs]
+        )
 
 
-class PushTrial(RowsTrial):
+class PushTrial(Trial):
     """A shape pushed straight down, or dragged along: force against depth or speed."""
 
     def __init__(self, run: Run) -> None:
         inside = _rows_of_push(run)
         names = ("depth", "force", "lift", "speed") if run.kind == "drag" else ("depth", "force")
-        columns = {name: getattr(run.motion, name) for name in names}
-        rows: dict[str, Any] = {k: v if v is None else v[inside] for k, v in columns.items()}
-        super().__init__(replace(run, motion=Motion(**rows)))
+        given = {k: v for k, v in vars(run.motion).items() if k in names and v is not None}
+        super().__init__(replace(run, motion=Motion(**{k: v[inside] for k, v in given.items()})))
         places = np.unique(self.places)
         if self.axis == "depth" and len(self.places) > _POINTS:
             places = np.linspace(places[0], places[-1], _POINTS)
-        none = np.zeros(len(places))  # forces that are not used
-        motion = Motion(depth=places, force=none)
-        if self.axis == "speed":
-            depth = np.full(len(places), run.depth)
-            motion = Motion(depth=depth, speed=places, force=none)
-        self._simulated = replace(run, motion=motion)
-        self._simulator = simulator_of(self._simulated, "place")
-        is_fast = run.kind == "intrude" and self._simulated.froude > _FAST
-        self._pusher = simulator_of(self._simulated, "push") if is_fast else None
+        columns = {self.axis: places, "force": np.zeros(len(places))}  # forces are not used
+        self._simulated = replace(run, motion=motion_of(columns, run.depth))
+        self._is_fast = run.kind == "intrude" and self._simulated.froude > _FAST
 
     def simulate(self, material: Material) -> Motion:
-        if self._pusher is not None and material.law.adds_mass:
-            self._pusher.use(material)
-            force = forces_of_push(self._simulated, self._pusher, self._simulated.motion.depth)
-            found = replace(self._simulated.motion, force=force)
-        else:
-            self._simulator.use(material)
-            found = place(self._simulated, self._simulator)
+        way = "press" if self._is_fast and material.law.adds_mass else "place"
+        found = simulate_with(self._simulated, material, self._simulators, way)
         at = getattr(found, self.axis)
         columns = {s.name: np.interp(self.places, at, getattr(found, s.name)) for s in self.series}
         return Motion(depth=self.places, **columns)
 
-    def errors(self, outcome: Motion, shift: float | None) -> Errors:
-        off, force = self.off(outcome, shift), self.series[0]
-        return Errors(
-            trajectory=rms(np.linalg.norm(off, axis=0)) / force.scale,
-            force=float(self.predicted(outcome, shift)[0].mean() / force.values.mean() - 1),
-        )
+    def errors(self, predicted: list[np.ndarray], shift: float | None) -> Errors:
+        force = float(predicted[0].mean() / self.series[0].values.mean() - 1)
+        return replace(super().errors(predicted, shift), force=force, lift=None)
 
 
 def _rows_of_push(run: Run) -> np.ndarray:
@@ -169,26 +138,23 @@ def _rows_of_push(run: Run) -> np.ndarray:
     force, along = run.motion.force, getattr(run.motion, _SERIES[run.kind][0])
     assert isinstance(run.body, Projectile)
     assert force is not None
-    where, size = f"run {shown(run.name)}", run.body.reach
-    deepest, inside = run.depth or run.motion.depth.max(), along > 0
+    size, deepest, inside = run.body.reach, run.depth or run.motion.depth.max(), along > 0
     if deepest > _DEEPEST * size:
-        raise InputError(
-            f"{where}: a depth of {deepest:.4g} m for a body of {size:.3g} m is implausible: "
+        raise run.error(
+            f"a depth of {deepest:.4g} m for a body of {size:.3g} m is implausible: "
             "the key depth is in m; name the unit of a column, such as 'depth [mm]'"
         )
     if run.kind == "drag" and not inside.all():
-        raise InputError(f"{where}: speeds of a drag must be positive, got {along.min():g} m/s")
+        raise run.error(f"speeds of a drag must be positive, got {along.min():g} m/s")
     if inside.sum() < 2:
         count = inside.sum() or "no contact"
         what = "depths" if run.kind == "intrude" else "speeds"
-        raise InputError(
-            f"{where}: 2 or more rows must be in the sand, got {count}; {what} there are positive"
+        raise run.error(
+            f"2 or more rows must be in the sand, got {count}; {what} there are positive"
         )
     mean = force[inside].mean()
     if mean <= 0:
-        raise InputError(
-            f"{where}: the mean force against the motion must be positive, got {mean:.3g} N"
-        )
+        raise run.error(f"the mean force against the motion must be positive, got {mean:.3g} N")
     return inside
 
 
@@ -217,12 +183,17 @@ class Problem:
         progress: Callable[[int], None] | None = None,
     ) -> None:
         self.trials, self.material, self.free = tuple(trials), material, tuple(free)
-        self.shifted = [k for k, trial in enumerate(trials) if trial.shift is not None]
+        self.shifted = [trial for trial in trials if trial.shift is not None]
         bounds = [material.bounds(name) for name in free]
-        bounds += [trials[k].shift_range for k in self.shifted]
+        bounds += [trial.shift_range for trial in self.shifted]
         self.low, self.high = (np.array(ends, float) for ends in zip(*bounds, strict=True))
         self.count = len(self.free)
         self.range = self.high - self.low  # may be infinite
+        constants = [material.value(name) for name in free]
+        self.start = np.array([*constants, *(trial.shift for trial in self.shifted)], float)
+        # Rows of each series of each run, and of each run, among the residuals.
+        self.blocks = _slices([len(series.values) for trial in trials for series in trial.series])
+        self.runs = _slices([trial.rows for trial in trials])
         self.evaluations = 0
         self._progress = progress
         self._outcomes: dict[tuple[float, ...], list[Motion | None]] = {}
@@ -231,18 +202,13 @@ class Problem:
         """Return the size of each unknown: that of `constants`, and the range of each touch."""
         return np.concatenate([constants[: self.count], self.range[self.count :]])
 
-    def start(self) -> np.ndarray:
-        constants = [self.material.value(name) for name in self.free]
-        shifts = [self.trials[k].shift for k in self.shifted]
-        return np.array([*constants, *shifts], float)
-
     def material_at(self, x: np.ndarray) -> Material:
         values = {name: float(value) for name, value in zip(self.free, x, strict=False)}
         return self.material.changed(values)
 
-    def shift_of(self, x: np.ndarray, trial: int) -> float | None:
+    def shift_of(self, x: np.ndarray, trial: Trial) -> float | None:
         if trial not in self.shifted:
-            return None
+            return trial.shift  # held out
         return float(x[self.count + self.shifted.index(trial)])
 
     def outcomes(self, x: np.ndarray) -> list[Motion | None]:
@@ -264,28 +230,19 @@ class Problem:
 
     def residual(self, x: np.ndarray) -> np.ndarray:
         parts = []
-        for k, outcome in enumerate(self.outcomes(x)):
-            trial = self.trials[k]
+        for trial, outcome in zip(self.trials, self.outcomes(x), strict=True):
             if outcome is None:
                 parts.append(np.full(trial.rows, _FAR / np.sqrt(trial.rows)))
             else:
-                parts.append(trial.residual(outcome, self.shift_of(x, k)))
+                parts.append(trial.residual(trial.predicted(outcome, self.shift_of(x, trial))))
         return np.concatenate(parts)
-
-    def blocks(self) -> list[slice]:
-        """Return the rows of each series of each run among the residuals."""
-        return _slices([len(series.values) for trial in self.trials for series in trial.series])
-
-    def runs(self) -> list[slice]:
-        """Return the rows of each run among the residuals."""
-        return _slices([trial.rows for trial in self.trials])
 
     def jacobian(self, x: np.ndarray) -> np.ndarray:
         """Return the derivatives of the residuals, central differences if the bounds allow."""
         columns = []
         for k in range(len(x)):
             if k < self.count:
-                step = _FINE * max(abs(x[k]), 1e-3 * abs(self.start()[k]))
+                step = _FINE * max(abs(x[k]), 1e-3 * abs(self.start[k]))
             else:
                 step = _FINE * self.range[k]
             up, down = x.copy(), x.copy()
