@@ -197,7 +197,7 @@ def test_a_set_of_ones_own(tmp_path):
         ({"table": "time [s],depth [m]\n0,nan\n"}, InputError, "'nan'"),
         ({"table": "time [s],depth [m]\n0,0\n0,1\n"}, InputError, "grow"),
         ({"table": "time [s],depth [m]\n0,-0.05\n0.1,0.02\n"}, InputError, "rows before the touch"),
-        ({"table": ""}, InputError, "empty"),
+        ({"table": ""}, InputError, "headings and rows of numbers"),
         ({"table": "time,depth,t,depth [mm]\n0,0,0,0\n"}, InputError, "2 columns 'depth'"),
         (
             {"run": RUN.replace("speed: 1", "columns: {Depth: d}")},
