@@ -80,7 +80,7 @@ def _show(result: DropResult) -> None:
     rows = []
     for body in result.bodies:
         held = body.within_validity
-        depth = "not met" if held is None else f"{body.greatest_depth * 1e3:.2f}"
+        depth = f"{body.greatest_depth * 1e3:.2f}" if body.greatest_depth > 0 else "not met"
         share = "" if held is None else f"{held:.0%}"
         energy = f"{body.energy_into_sand + 0.0:.3g}"
         rows.append((body.body, depth, f"{body.greatest_force:.3g}", energy, share))

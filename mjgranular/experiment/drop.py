@@ -109,7 +109,7 @@ class BodySummary:
         greatest_force: magnitude [N].
         energy_into_sand: work of the body on the sand [J].
         within_validity: share of the samples in the sand at which the law was valid, 0 to 1; None
-            if it never met the sand.
+            if it never met the sand, or the law has no limits.
         exceeded: measures of validity whose limits it passed at a sample, with the greatest values.
     """
 
@@ -130,7 +130,7 @@ class BodySummary:
                 if not standing.holds and standing.value is not None:
                     measure = standing.limit.measure
                     exceeded[measure] = max(exceeded.get(measure, 0.0), standing.value)
-        valid = [report.valid for report in in_sand]
+        valid = [report.valid for report in in_sand if report.validity]
         return cls(
             body=reports[0].body,
             greatest_depth=float(max(depth, reports[-1].depth)),

@@ -83,7 +83,7 @@ class BodyReport:
 
     @property
     def valid(self) -> bool:
-        """True if the law is valid for this body now."""
+        """True if the limits of the law hold for this body now, or if it has none."""
         return all(standing.holds for standing in self.validity)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from mjgranular import DepthVelocityLaw, HeightField, Plane, Quantity, Rft2dLaw, Sand, laws, media
+from mjgranular.experiment.drop import BodySummary
 from mjgranular.law import Finding, Limit, Standing
 from mjgranular.law.validity import found_at
 
@@ -240,6 +241,16 @@ def test_a_report_has_the_error_that_was_found():
         assert report.bodies[0].error == error
     _, report = moving(ball, height=0.5, law=Judged(constant=1.0))
     assert report.bodies[0].error is None  # above the sand
+
+
+def test_a_law_without_limits_is_not_said_to_have_held():
+    class Mud(DepthVelocityLaw):
+        validity = ()
+
+    ball = body("<geom type='sphere' size='.025'/>")
+    for law, share in ((DepthVelocityLaw(constant=1.0), 1.0), (Mud(constant=1.0), None)):
+        _, report = moving(ball, velocity=(0, 0, -0.1), law=law)
+        assert BodySummary.of(report.bodies, 0.0, 0.0, 0.0).within_validity == share
 
 
 def test_a_body_that_turns_in_the_sand_has_no_error():
