@@ -36,8 +36,7 @@ def material_of(model: mujoco.MjModel, spec: SandSpec) -> tuple[Medium, Law]:
         medium = media[DEFAULT_MEDIUM] if law is None else medium_for(law)
     found = get_law(law, medium)
     name, mark, _ = str(spec.medium).partition(" density=")
-    if mark:
-        before = get_medium(name)
+    if mark and (before := get_medium(name)).density.value != medium.density.value:
         numbers = get_law(law, before).parameters(before)
         if numbers.tobytes() == found.parameters(medium).tobytes():
             raise InputError(
