@@ -143,10 +143,22 @@ def test_dunes_are_where_they_say():
     assert env.reset(seed=0)[1]["sand/valid"] is True
 
 
+@pytest.mark.parametrize(
+    ("surface", "name"), [("plane slope=0.1", "plane"), ("height_field geom=dunes", "dunes")]
+)
+def test_each_medium_has_the_surface_of_the_environment(surface, name):
+    media = ("quikrete_medium", "poppy_seed_loose")
+    task = tasks["ChainCrawl"](surface=surface, randomise=SandRanges(media=media))
+    assert [choice.surface for choice in task.choices] == [name, name]
+    assert all(task.ground(number) is not None for number in range(2))
+
+
 def test_dunes_of_every_episode_keep_prints():
     env = SandEnv("ChainCrawl", surface="height_field geom=dunes", memory=True)
     _, info = env.reset(seed=0)
-    assert env.task.ground(0)(1.3, -0.4) == env.task.dunes.height(1.3, -0.4) != 0.0
+    ground = env.task.ground(0)
+    assert ground is not None
+    assert ground(1.3, -0.4) == env.task.dunes.height(1.3, -0.4) != 0.0
     for _ in range(3):
         info = env.step(np.zeros(env.model.nu))[-1]
     assert info["sand/force"][2] > 0.0
