@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -34,15 +35,18 @@ class Dunes:
 
     def height(self, x: float, y: float) -> float:
         """Return the height over the level ground at a point [m]."""
+        return self._wave(math.sin, x, y)
+
+    def _wave(self, sin: Any, x: Any, y: Any) -> Any:
         k = 2 * math.pi / self.wavelength
-        waves = (share * math.sin(k * (x + across * y) + phase) for share, across, phase in _WAVES)
+        waves = (share * sin(k * (x + across * y) + phase) for share, across, phase in _WAVES)
         return self._amplitude * sum(waves)
 
     def heights(self) -> np.ndarray:
         """Return heights on the height field's grid [m], shape (rows over y, columns over x)."""
         count = 2 * round(20 * self.extent / self.wavelength) + 1
         line = np.linspace(-self.extent, self.extent, count)
-        return np.array([[self.height(x, y) for x in line] for y in line])
+        return self._wave(np.sin, line[None, :], line[:, None])
 
 
 def add_dunes(spec: mujoco.MjSpec, dunes: Dunes) -> None:

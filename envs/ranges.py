@@ -272,11 +272,12 @@ def choices_of(ranges: SandRanges | None, base: SandSpec, dunes: Any) -> list[Ch
     A `base` on the dunes themselves has these without ranges too.
     """
     choices = []
-    usual = "dunes" if base.surface is not None and surface_of(base.surface) == dunes else "plane"
+    on_dunes = base.surface is not None and surface_of(base.surface) == dunes
+    usual, plane = ("dunes", None) if on_dunes else ("plane", base.surface)
     for medium in (ranges and ranges.media) or (base.medium,):
         for law in (ranges and ranges.laws) or (base.law,):
             for name in (ranges and ranges.surfaces) or (usual,):
-                surface = dunes if name == "dunes" else base.surface if usual == "plane" else None
+                surface = dunes if name == "dunes" else plane
                 sand = combined(base, {"medium": medium, "law": law, "surface": surface})
                 in_medium, own = medium, law
                 if medium is None and law is not None:

@@ -136,7 +136,7 @@ class Go1Velocity(Task):
     | `reward_yaw_error` | error of the yaw rate [rad/s] | 0 |
     | `reward_upright` | exp(-s^2 / 0.2), s the sine of the tilt from the axis z | 1 |
     | `reward_pose` | exp of minus the mean square deviation from the stance | 0.5 |
-    | `reward_gait` | exp(-e^2 / 0.01), e heights of feet off a trot [m]; sunk in stance: 0 | 2 |
+    | `reward_gait` | exp(-e^2 / 0.01), e [m] off a trot's heights, 0 for feet sunk in stance | 2 |
     | `reward_wobble` | square of the rates of roll and pitch [rad^2/s^2] | -0.05 |
     | `reward_rate` | square of the change of the action | -0.02 |
     | `reward_torque` | square of the torques [N^2 m^2] | -2e-4 |

@@ -33,7 +33,8 @@ def add_sand(
     It adds an instance of the plugin `mjgranular.sand`, which is preserved in XML. Called twice, it
     adds two: two media in two beds, for example. If the surface is drawn, a material and its
     texture are added, a bed or height field without a color gets that material, and geoms that the
-    sand replaces are moved to geom group 5, which is hidden.
+    sand replaces are moved to geom group 5, which is hidden. A bed or height field loses its
+    contacts, which the sand would switch off in any case.
 
     Args:
         spec: the model to be.

@@ -98,7 +98,7 @@ class LawKernel:
         if first != ("depth", "length", "point"):
             raise InputError(
                 f"the first fields of {self.samples.__name__} must be depth, length and point, in "
-                f"this order, not {', '.join(first)}"
+                f"this order, not {', '.join(first) or 'none'}"
             )
 
     def pack(self, elements: np.ndarray) -> np.ndarray:

@@ -1,5 +1,7 @@
 """Medium and law of a sand: as given, or derived from each other and from the model."""
 
+from dataclasses import replace
+
 import mujoco
 
 from mjgranular.errors import InputError, UnknownNameError
@@ -25,7 +27,7 @@ def material_of(model: mujoco.MjModel, spec: SandSpec) -> tuple[Medium, Law]:
     `LAW_TEXT`, as the package's link does, else that of `DEFAULT_MEDIUM`.
 
     Raises:
-        InputError: the density of the medium is changed, and the law does not depend on it.
+        InputError: a density follows the medium's name, and the law does not depend on it.
     """
     law = spec.law
     if spec.medium is None and law is None:
@@ -35,13 +37,14 @@ def material_of(model: mujoco.MjModel, spec: SandSpec) -> tuple[Medium, Law]:
     else:
         medium = media[DEFAULT_MEDIUM] if law is None else medium_for(law)
     found = get_law(law, medium)
-    name, mark, _ = str(spec.medium).partition(" density=")
-    if mark and (before := get_medium(name)).density.value != medium.density.value:
-        numbers = get_law(law, before).parameters(before)
+    if medium.name == spec.medium and "density=" in medium.name:
+        value = 1000.0 if medium.density.value != 1000.0 else 2000.0  # any other
+        other = replace(medium, density=replace(medium.density, value=value))
+        numbers = get_law(law, other).parameters(other)
         if numbers.tobytes() == found.parameters(medium).tobytes():
             raise InputError(
-                f"{spec.medium!r}: the density of the medium has no effect under {found.name}, "
-                'whose own one counts, as in "rft3d density=1500"'
+                f"{spec.medium!r}: the density of the medium has no effect under the law "
+                f'{found.name}; constants of a law follow its name, as in "rft3d density=1500"'
             )
     return medium, found
 

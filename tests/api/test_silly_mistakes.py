@@ -369,7 +369,11 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "density without effect": (
         lambda: mg.Sand(MODEL, medium="quikrete_medium density=3000"),
-        "the density of the medium has no effect under rft3d_dynamic",
+        "the density of the medium has no effect under the law rft3d_dynamic",
+    ),
+    "density without effect, after two spaces": (
+        lambda: mg.Sand(MODEL, medium="quikrete_medium  density=1550", law="rft3d"),
+        "the density of the medium has no effect under the law rft3d",
     ),
     "sample without a length": (
         lambda: LawKernel(Level, Level, None, None),

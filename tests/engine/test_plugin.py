@@ -216,10 +216,7 @@ def test_two_media_in_two_beds() -> None:
     spec = mujoco.MjSpec.from_string(TWO_BEDS)
     add_sand(spec, law=DepthVelocityLaw(stiffness=100), surface=Bed("left"))
     add_sand(spec, law=DepthVelocityLaw(stiffness=300), surface=Bed("right"))
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", FloorWarning)
-        model = spec.compile()
-        mujoco.MjData(model)
+    model = spec.compile()
     names = [mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_PLUGIN, i) for i in range(2)]
     assert names == ["sand", "sand_2"]
     data = mujoco.MjData(model)
@@ -228,6 +225,21 @@ def test_two_media_in_two_beds() -> None:
     assert data.ncon == 0  # beds are no obstacles
     assert data.qfrc_passive[8] == pytest.approx(3 * data.qfrc_passive[2])
     assert data.qfrc_passive[2] == pytest.approx(100 * 0.05)
+
+
+def test_a_bed_beside_does_not_count_as_ground() -> None:
+    spec = mujoco.MjSpec.from_string(
+        """<mujoco><worldbody>
+        <geom name="left" type="box" size=".5 .5 .2" pos="-.5 0 -.2"/>
+        <geom name="right" type="box" size=".5 .5 .2" pos=".5 0 -.2"/>
+        <body pos="0 0 .1"><freejoint/><geom type="box" size=".05 .05 .05" mass="2"/></body>
+        </worldbody></mujoco>"""
+    )
+    for side in ("left", "right"):
+        add_sand(spec, surface=Bed(side))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", FloorWarning)
+        mujoco.MjData(spec.compile())
 
 
 def test_sands_of_a_model_are_told() -> None:
