@@ -44,8 +44,9 @@ MOTIONS = st.tuples(triple(5), triple(20))
 
 
 def rod(start=START, end=END, gravity=(0, 0, -9.81)):
-    text = ROD.format(start=start, end=end, gravity=" ".join(map(repr, map(float, gravity))))
-    return mujoco.MjModel.from_xml_string(text)
+    # Rounded: MuJoCo 3.17 reads no 1e-46.
+    text = " ".join(str(round(float(number), 15)) for number in gravity)
+    return mujoco.MjModel.from_xml_string(ROD.format(start=start, end=end, gravity=text))
 
 
 LEVEL = rod()

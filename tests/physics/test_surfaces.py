@@ -80,7 +80,8 @@ def times(q, p):
 
 
 def text(numbers):
-    return " ".join(repr(float(number)) for number in numbers)
+    # Rounded: MuJoCo 3.17 reads no 1e-46.
+    return " ".join(str(round(float(number), 15)) for number in numbers)
 
 
 def wrench(sand, position, quaternion=(1, 0, 0, 0), velocity=(0, 0, 0), spin=(0, 0, 0)):
