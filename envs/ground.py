@@ -151,7 +151,7 @@ def _without_dunes(spec: mujoco.MjSpec) -> mujoco.MjModel:
     for geom in bare.worldbody.geoms:
         if geom.type == mujoco.mjtGeom.mjGEOM_HFIELD:
             bare.delete(geom)
-    with quiet():
+    with quiet(), converted_errors():
         return bare.compile()
 
 

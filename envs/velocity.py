@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
@@ -16,20 +17,16 @@ from mjgranular.envs.ranges import Sample
 from mjgranular.envs.task import Start, State, Task
 from mjgranular.errors import InputError, shown
 from mjgranular.models import robot_path
-from mjgranular.shape.select import Choice
 from mjgranular.shape.sizes import geom_axes
 
-# Rows of `userdata`: steps of the episode, sine and cosine of the slope, the last action, and what
-# is drawn at the start: commands and pushes, each with the step at which it begins.
-_STEP, _SLOPE, _ACTION = 0, slice(1, 3), slice(3, 15)
+# Rows of `userdata`, before those of `_Rows`: steps of the episode, sine and cosine of the slope,
+# and what is drawn at the start: commands and pushes, each with the step at which it begins.
+_STEP, _SLOPE = 0, slice(1, 3)
 _COMMANDS, _PUSHES = 8, 20  # at most, in an episode of 20 s
-_COMMAND = slice(15, 15 + 4 * _COMMANDS)
+_COMMAND = slice(3, 3 + 4 * _COMMANDS)
 _PUSH = slice(_COMMAND.stop, _COMMAND.stop + 7 * _PUSHES)
 _STRENGTH, _DELAY = _PUSH.stop, _PUSH.stop + 1  # of the motors in this episode
 _LATE = 3  # the longest delay
-_TARGETS = slice(_DELAY + 1, _DELAY + 1 + 12 * _LATE)  # earlier ones, the last first
-_PAST = slice(_TARGETS.stop, None)  # what was sensed in earlier steps, the last step first
-_SENSED = 42  # observations before the command
 
 _SETTLING = 0.5  # before the first command [s]; chosen: in weak sand a Go1 sinks for 0.2 s
 _COMMAND_TIME = (3.0, 8.0)  # of a command [s]; these and the next two as in mjlab
@@ -39,6 +36,15 @@ _STANDING, _FORWARD = 0.1, 0.2  # shares of commands to stand, and to walk strai
 
 _TILT = math.cos(math.radians(70))  # as in mjlab
 _OF_MOTORS = ("actuator_gainprm", "actuator_biasprm", "actuator_forcerange")
+
+
+class _Rows(NamedTuple):
+    """Rows of `userdata` whose number depends on the robot."""
+
+    action: slice  # the last one
+    targets: slice  # earlier ones, the last first
+    past: slice  # what was sensed in earlier steps, the last step first
+    sensed: int  # observations before the command
 
 
 class Motor(NamedTuple):
@@ -188,7 +194,7 @@ class Go1Velocity(Task):
     timestep: ClassVar[float] = 0.005
     # Bodies of the feet; legs of one sign swing together.
     feet: ClassVar[dict[str, float]] = {"FR_calf": 1, "FL_calf": -1, "RR_calf": -1, "RL_calf": 1}
-    # Names of a leg's joints: the side, as in the name of its foot, and one of these.
+    # Of each leg, from the trunk down.
     motors: ClassVar[dict[str, Motor]] = {
         "hip": Motor(23.7, 0.000111842 * 6.0**2),  # data sheet and gears as in mjlab
         "thigh": Motor(23.7, 0.000111842 * 6.0**2),
@@ -198,9 +204,10 @@ class Go1Velocity(Task):
     stance: ClassVar[tuple[float, ...]] = 2 * (0.1, 0.9, -1.8, -0.1, 0.9, -1.8)
     pose: ClassVar[tuple[float, ...]] = 4 * (0.3, 0.3, 0.6)
     gait: ClassVar[Gait] = Gait(2.0, 0.08, 0.27, 1.5, (0.0, 0.5, -1.0), (0.0, 1.0, 0.0))
+    # Height of the trunk's frame at which an episode ends [m]; None for where the trunk touches.
+    low: ClassVar[float | None] = None
 
     robot_file: str | Path = "unitree_go1"
-    bodies: Choice = tuple(feet)
     resolution: int | None = 2
     frame_skip: int = 4
     command_x: tuple[float, float] = (-0.8, 0.8)
@@ -225,8 +232,20 @@ class Go1Velocity(Task):
     slip_weight: float = 0.1
 
     def __post_init__(self) -> None:
+        if self.bodies is None:
+            object.__setattr__(self, "bodies", tuple(self.feet))
         super().__post_init__()
         check_count("history", self.history, least=0)
+        legs, joints = len(self.feet), len(self.motors)
+        for name, values, count in (
+            ("stance", self.stance, legs * joints),
+            ("pose", self.pose, legs * joints),
+            ("gait.lift", self.gait.lift, joints),
+            ("gait.stride", self.gait.stride, joints),
+        ):
+            if len(values) != count:
+                which = f"{type(self).__name__}.{name}"
+                raise InputError(f"{which} must have {count} numbers, not {len(values)}")
         for name in ("command_x", "command_y", "command_yaw"):
             if not np.isfinite(getattr(self, name)).all():
                 raise InputError(f"{name} must be a range of finite numbers")
@@ -241,47 +260,58 @@ class Go1Velocity(Task):
         if max(self.delay) > _LATE:
             raise InputError(f"delay must be at most {_LATE} steps, not {self.delay}")
 
-    def robot(self) -> mujoco.MjSpec:
-        path = robot_path(self.robot_file)
+    def load(self) -> mujoco.MjSpec:
+        """Return the robot, from its file."""
         with converted_errors():
-            spec = mujoco.MjSpec.from_file(str(path))
-        self._check_robot(spec, path)
+            return mujoco.MjSpec.from_file(str(robot_path(self.robot_file)))
+
+    def robot(self) -> mujoco.MjSpec:
+        spec = self.load()
+        if not np.any(spec.option.gravity):
+            raise InputError(f"the model {spec.modelname} has no gravity")
+        joints = self._find_joints(spec)
+        names = [joint.name for joint in joints]
         for each in (*spec.sensors, *spec.actuators, *spec.keys):
             spec.delete(each)
         for joint in spec.joints[1:]:
-            if joint.name not in self.joints():
+            if joint.name not in names:
                 spec.delete(joint)
-        motors = len(self.feet) * [*self.motors.values()]
-        for name, motor in zip(self.joints(), motors, strict=True):
-            _add_motor(spec, spec.joint(name), motor)
+        for joint, motor in zip(joints, len(self.feet) * [*self.motors.values()], strict=True):
+            _add_motor(spec, joint, motor)
         for foot in self.feet:
             self.add_sole(spec, spec.body(foot))
         for body in spec.bodies[1:]:
             for geom in body.geoms:
                 geom.conaffinity = int(bool(geom.contype or geom.conaffinity))
                 geom.contype = 0
+        if self.low is None and not any(geom.conaffinity for geom in spec.joints[0].parent.geoms):
+            raise InputError(f"no geom of the trunk collides: set {type(self).__name__}.low [m]")
         spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[50, 50, 1])
         spec.option.timestep = self.timestep
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-        spec.nuserdata = _PAST.start + _SENSED * self.history
+        spec.nuserdata = self._rows.past.stop
         return spec
 
-    @classmethod
-    def joints(cls) -> tuple[str, ...]:
-        """Return the names of the joints that have motors, leg by leg."""
-        sides = [foot.partition("_")[0] for foot in cls.feet]
-        return tuple(f"{side}_{part}_joint" for side in sides for part in cls.motors)
-
-    def _check_robot(self, spec: mujoco.MjSpec, path: Path) -> None:
-        kinds = {joint.name: joint.type for joint in spec.joints}
-        ours = {kinds.get(name) for name in self.joints()}
-        first = spec.joints[0].type if spec.joints else None
-        if first != mujoco.mjtJoint.mjJNT_FREE or ours != {mujoco.mjtJoint.mjJNT_HINGE}:
-            raise InputError(
-                f"{path} must have the joints {', '.join(self.joints())}, after a free joint"
-            )
-        if any(spec.body(foot) is None for foot in self.feet):
-            raise InputError(f"{path} must have the bodies {', '.join(self.feet)}")
+    def _find_joints(self, spec: mujoco.MjSpec) -> list[mujoco.MjsJoint]:
+        """Return the joints that get motors, leg by leg, each from the trunk down."""
+        name = f"the model {spec.modelname}"
+        if not spec.joints or spec.joints[0].type != mujoco.mjtJoint.mjJNT_FREE:
+            raise InputError(f"the first joint of {name} must be a free joint, that of the trunk")
+        legs = []
+        for foot in self.feet:
+            if (body := spec.body(foot)) is None:
+                raise InputError(f"{name} must have the bodies {', '.join(self.feet)}")
+            leg: list[mujoco.MjsJoint] = []
+            while body is not None and body.name != spec.joints[0].parent.name:
+                leg, body = [*body.joints, *leg], body.parent
+            hinges = [joint for joint in leg if joint.type == mujoco.mjtJoint.mjJNT_HINGE]
+            if len(hinges) != len(leg) or len(leg) != len(self.motors):
+                raise InputError(
+                    f"between trunk and {foot}, {name} must have the hinges "
+                    f"{', '.join(self.motors)}, not {', '.join(j.name for j in leg) or 'none'}"
+                )
+            legs += leg
+        return legs
 
     def add_sole(self, spec: mujoco.MjSpec, foot: mujoco.MjsBody) -> None:
         """Mark the sole of a foot: the lowest sphere of the calf."""
@@ -296,14 +326,21 @@ class Go1Velocity(Task):
         foot.add_site(name=_sole_name(foot.name), pos=lowest.pos, size=lowest.size, group=5)
 
     @cached_property
+    def _rows(self) -> _Rows:
+        count = len(self.feet) * len(self.motors)
+        sensed = 6 + 3 * count
+        ends = np.cumsum([_DELAY + 1, count, count * _LATE, sensed * self.history]).tolist()
+        return _Rows(*(slice(*each) for each in pairwise(ends)), sensed)
+
+    @cached_property
     def _stance(self) -> np.ndarray:
-        """Joint angles of the stance [rad], shape (12,)."""
+        """Joint angles of the stance [rad], shape (n_joints,)."""
         return np.array(self.stance)
 
     @cached_property
     def _angles(self) -> np.ndarray:
-        """Indices of `joints()` in `qpos`, shape (12,)."""
-        return np.array([self.model.joint(joint).qposadr[0] for joint in self.joints()])
+        """Indices of the motors' joints in `qpos`, shape (n_joints,)."""
+        return self.model.jnt_qposadr[self.model.actuator_trnid[:, 0]]
 
     @cached_property
     def _pairs(self) -> np.ndarray:
@@ -312,7 +349,9 @@ class Go1Velocity(Task):
 
     @cached_property
     def _low(self) -> float:
-        """Height of the trunk's frame at which the trunk meets level ground [m]."""
+        """`low`, or where the trunk meets level ground [m]."""
+        if self.low is not None:
+            return self.low
         model = self.model
         parts = np.flatnonzero((model.geom_bodyid == 1) & (model.geom_conaffinity != 0))
         return -min(
@@ -331,26 +370,27 @@ class Go1Velocity(Task):
         return float(self.model.site(self._feet[0]).size[0])
 
     @cached_property
-    def _standing(self) -> np.ndarray:
-        """`qpos` in the stance, with the lowest foot at z = 0."""
+    def _standing(self) -> tuple[np.ndarray, float]:
+        """`qpos` in the stance, with the lowest foot at z = 0, and how far out feet stand [m]."""
         data = mujoco.MjData(self.model)
         data.qpos[:] = self.model.qpos0
         data.qpos[:2], data.qpos[self._angles] = 0.0, self._stance
         mujoco.mj_kinematics(self.model, data)
         data.qpos[2] += self._radius - data.site_xpos[self._feet, 2].min()
-        return data.qpos.copy()
+        return data.qpos.copy(), float(np.linalg.norm(data.site_xpos[self._feet, :2], axis=1).max())
 
     # The start of an episode, with all that happens in it.
 
     def start(self, random: np.random.Generator, height: Callable[[float, float], float]) -> Start:
-        noise, qpos = self.reset_noise_scale, self._standing.copy()
-        qpos[2] += max(height(x, y) for x in (-0.25, 0.0, 0.25) for y in (-0.15, 0.0, 0.15))
+        noise, (standing, reach) = self.reset_noise_scale, self._standing
+        qpos, places = standing.copy(), (-reach, 0.0, reach)
+        qpos[2] += max(height(x, y) for x in places for y in places)
         heading = random.uniform(-math.pi, math.pi)
         qpos[3:7] = math.cos(heading / 2), 0.0, 0.0, math.sin(heading / 2)
-        qpos[7:] += random.uniform(-noise, noise, 12)
-        qvel = np.zeros(18)
-        qvel[6:] = random.uniform(-noise, noise, 12)
-        userdata = np.zeros(_PAST.start + _SENSED * self.history)
+        qpos[7:] += random.uniform(-noise, noise, len(self._stance))
+        qvel = np.zeros(self.model.nv)
+        qvel[6:] = random.uniform(-noise, noise, len(self._stance))
+        userdata = np.zeros(self.model.nuserdata)
         userdata[_SLOPE] = 0.0, 1.0
         userdata[_COMMAND] = self._draw_commands(random).ravel()
         userdata[_PUSH] = self._draw_pushes(random).ravel()
@@ -360,7 +400,7 @@ class Go1Velocity(Task):
         userdata[_STRENGTH] = strength
         least, most = self.delay
         userdata[_DELAY] = random.integers(least, most + 1) if least < most else least
-        userdata[_TARGETS] = np.tile(self._stance, _LATE)
+        userdata[self._rows.targets] = np.tile(self._stance, _LATE)
         varied = self.motor_strength != (1.0, 1.0)
         motors = {name: strength * self._motors[name] for name in _OF_MOTORS if varied}
         return Start(qpos, qvel, userdata, motors)
@@ -408,24 +448,24 @@ class Go1Velocity(Task):
     # A step.
 
     def mark(self, state: State) -> tuple[np.ndarray, np.ndarray]:
-        return state.userdata[:, _ACTION].copy(), state.site_xpos.take(self._feet, axis=1)
+        return state.userdata[:, self._rows.action].copy(), state.site_xpos.take(self._feet, axis=1)
 
     def act(self, action: np.ndarray, state: State) -> np.ndarray:
-        applied = np.clip(action, -1.0, 1.0).astype(float)
+        applied, rows = np.clip(action, -1.0, 1.0).astype(float), self._rows
         if self.history:
-            past = state.userdata[:, _PAST]
+            past = state.userdata[:, rows.past]
             sensed = self.once(state, "sensed", self._sense)
-            past[:] = np.concatenate([sensed, past[:, :-_SENSED]], axis=1)
-        state.userdata[:, _ACTION] = applied
+            past[:] = np.concatenate([sensed, past[:, : -rows.sensed]], axis=1)
+        state.userdata[:, rows.action] = applied
         state.userdata[:, _STEP] += 1
         self._push(state)
         targets = self._stance + self._trot(state) + applied
         if self.delay == (0, 0):
             return targets
-        known = np.concatenate([targets, state.userdata[:, _TARGETS]], axis=1)
-        state.userdata[:, _TARGETS] = known[:, :-12]
-        late = state.userdata[:, _DELAY].astype(int)
-        return known.reshape(-1, _LATE + 1, 12)[np.arange(len(known)), late]
+        count, late = targets.shape[1], state.userdata[:, _DELAY].astype(int)
+        known = np.concatenate([targets, state.userdata[:, rows.targets]], axis=1)
+        state.userdata[:, rows.targets] = known[:, :-count]
+        return known.reshape(-1, _LATE + 1, count)[np.arange(len(known)), late]
 
     def _push(self, state: State) -> None:
         pushes = state.userdata[:, _PUSH].reshape(-1, _PUSHES, 7)
@@ -463,7 +503,7 @@ class Go1Velocity(Task):
         return table[np.arange(len(table)), begun.sum(axis=1) - 1, 1:]
 
     def _trot(self, state: State) -> np.ndarray:
-        """Return offsets from the stance: a trot at the commanded velocity, or 0; shape (n, 12)."""
+        """Return offsets from the stance, (n, n_joints): a trot at the commanded velocity, or 0."""
         # Not by `once`: the command may have changed since the last observation.
         command = self._command(state)
         clock = self._find_clock(state, command)
@@ -484,11 +524,11 @@ class Go1Velocity(Task):
         return np.where(walks[:, None], clock, 0.0)
 
     def observe(self, state: State) -> np.ndarray:
-        sensed, past = self.once(state, "sensed", self._sense), state.userdata[:, _PAST]
+        sensed, past = self.once(state, "sensed", self._sense), state.userdata[:, self._rows.past]
         return np.concatenate([sensed, self.command(state), self._clock(state), past], axis=1)
 
     def _sense(self, state: State) -> np.ndarray:
-        """Return what the robot measures, and its last action, shape (n, _SENSED)."""
+        """Return what the robot measures, and its last action, shape (n, sensed)."""
         sine, cosine = state.userdata[:, _SLOPE].T
         gravity = (-sine, np.zeros(len(sine)), -cosine)
         return np.concatenate(
@@ -497,7 +537,7 @@ class Go1Velocity(Task):
                 state.qvel[:, 3:6],
                 state.qpos[:, self._angles] - self._stance,
                 state.qvel[:, self._angles - 1],  # a free joint has a number less there
-                state.userdata[:, _ACTION],
+                state.userdata[:, self._rows.action],
             ],
             axis=1,
         )
@@ -517,7 +557,7 @@ class Go1Velocity(Task):
         height = self.once(state, "heights", self._heights)
         lift = self.gait.swing * self._clock(state)[:, :1] * self._pairs
         stray = np.where(lift > 1e-9, height - lift, np.maximum(height, 0.0))
-        change = state.userdata[:, _ACTION] - last
+        change = state.userdata[:, self._rows.action] - last
         slip = np.where(height < 0.0, np.square(speed), 0.0)
         linear = command * [1.0, 1.0, 0.0] - velocity
         yaw = turning[:, 2] - command[:, 2]
@@ -527,7 +567,7 @@ class Go1Velocity(Task):
             "error": -self.error_weight * np.sqrt(np.square(linear[:, :2]).sum(axis=1)),
             "yaw_error": -self.yaw_error_weight * np.abs(yaw),
             "upright": self.upright_weight * _exp(-tilt / 0.2),
-            "pose": self.pose_weight * _exp(-np.square(offset).sum(axis=1) / 12),
+            "pose": self.pose_weight * _exp(-np.square(offset).sum(axis=1) / offset.shape[1]),
             "gait": self.gait_weight * _exp(-np.square(stray).sum(axis=1) / 0.01),
             "wobble": -self.wobble_weight * np.square(turning[:, :2]).sum(axis=1),
             "rate": -self.rate_weight * np.square(change).sum(axis=1),
@@ -572,7 +612,7 @@ class Go1Velocity(Task):
         }
 
     def _heights(self, state: State) -> np.ndarray:
-        """Return heights of the soles over the untouched surface [m], shape (n, 4)."""
+        """Return heights of the soles over the untouched surface [m], shape (n, n_feet)."""
         feet = state.site_xpos.take(self._feet, axis=1)
         return feet[:, :, 2] - self._radius - self._ground(state, feet)
 
@@ -699,16 +739,12 @@ class G1Velocity(Go1Velocity):
     gait: ClassVar[Gait] = Gait(
         1.25, 0.08, 0.65, 1.2, (-0.35, 0.0, 0.0, 0.7, -0.35, 0.0), (1.0, 0.0, 0.0, 0.0, -1.0, 0.0)
     )
+    low: ClassVar[float | None] = 0.4
 
     robot_file: str | Path = "unitree_g1"
-    bodies: Choice = tuple(feet)
     command_x: tuple[float, float] = (-0.4, 0.8)
     command_y: tuple[float, float] = (-0.3, 0.3)
     command_yaw: tuple[float, float] = (-0.8, 0.8)
-
-    @cached_property
-    def _low(self) -> float:
-        return 0.4
 
     def add_sole(self, spec: mujoco.MjSpec, foot: mujoco.MjsBody) -> None:
         """Replace what a foot collides with by a box around it, up to the ankle's axis."""
@@ -735,7 +771,7 @@ class G1Velocity(Go1Velocity):
 
 
 def _sole_name(foot: str) -> str:
-    return f"{foot.partition('_')[0]} sole"
+    return f"{foot} sole"
 
 
 def _add_motor(spec: mujoco.MjSpec, joint: mujoco.MjsJoint, motor: Motor) -> None:

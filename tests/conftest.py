@@ -35,8 +35,9 @@ import hypothesis
 import mujoco
 import pytest
 
-from mjgranular import Medium, media, register_medium
+from mjgranular import Medium, laws, media, register_medium
 from mjgranular.models import Link
+from mjgranular.surface import surfaces
 
 # Processes that tests start see the installed package and not the folder they are started in.
 os.environ["PYTHONSAFEPATH"] = "1"
@@ -66,7 +67,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 # Modules that users of the pages and of the tests have beside them.
-OWN_MODULES = ("my_quad", "my_helper", "quad")
+OWN_MODULES = ("my_quad", "my_helper", "my_module", "quad")
 
 
 @pytest.fixture(autouse=True)
@@ -141,6 +142,21 @@ def register(monkeypatch: pytest.MonkeyPatch) -> Callable[[Medium], Medium]:
     """`register_medium`, undone after the test."""
     monkeypatch.setattr(media, "_things", dict(media._things))
     return register_medium
+
+
+@pytest.fixture
+def registers(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """What a page registers is forgotten after the test."""
+    import gymnasium as gym
+
+    from mjgranular.envs import tasks
+
+    for registry in (media, laws, surfaces, tasks):
+        monkeypatch.setattr(registry, "_things", dict(registry._things))
+    before = set(gym.registry)
+    yield
+    for name in set(gym.registry) - before:
+        del gym.registry[name]
 
 
 @pytest.fixture(scope="session")

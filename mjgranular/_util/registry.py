@@ -21,7 +21,7 @@ class Registry(Mapping[str, T]):
         before = self._things.get(name, thing)
         if not replace and before is not thing and _origin(before) != _origin(thing):
             raise InputError(
-                f"a {self._kind} named {name!r} exists already; choose another name or replace=True"
+                f"the {self._kind} {name!r} exists already; choose another name or replace=True"
             )
         self._things[name] = thing
 

@@ -39,8 +39,8 @@ class TrainCommand:
     """Default: the one that the settings name."""
     total_steps: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
     """Steps of all environments together. Default: as in the settings."""
-    settings: Annotated[Path | None, tyro.conf.arg(metavar="FILE.toml")] = None
-    """Settings to read in place of those of the environment."""
+    settings: Annotated[Path | None, tyro.conf.arg(metavar="FILE.toml|ID")] = None
+    """Settings to take in place of those of the environment: a file, or another environment's."""
     set: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ...")] = ()
     """Changes of the settings: num_envs=8 net=[256,256] gamma=0.98 environment.medium=poppy_seed"""
     engine: Literal["local", "warp"] = "local"

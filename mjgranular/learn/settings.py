@@ -129,13 +129,16 @@ def find_settings(
         env_id: Gymnasium id, such as `mjgranular/ChainSwim-v0`.
         algorithm: None for the one that the file names.
         file: file to read, with `algorithm`, a table `[environment]`, and one for each algorithm;
-            None for that of the environment or, where there is none, the default.
+            or an id, for the settings of that environment; None for those of this one or, where
+            there are none, the default.
 
     Raises:
         InputError: the file cannot be read, or has a wrong key or value.
         UnknownNameError: no such algorithm, or the file has no table for it.
     """
-    file = file or settings_file(env_id)
+    named = settings_file(str(file or env_id))
+    if file is None or (named.stem != "default" and not file.exists()):
+        file = named
     where, read = place(file), read_file(file, "the settings", largest=_LARGEST_FILE)
     try:
         content = tomllib.loads(read.decode())

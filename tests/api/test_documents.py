@@ -7,29 +7,14 @@ import sys
 from pathlib import Path
 from types import ModuleType
 
-import gymnasium as gym
 import pytest
 
 import mjgranular
-from mjgranular import laws, media
-from mjgranular.envs import tasks
-from mjgranular.surface import surfaces
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 QUICK = ("README.md", "docs/conventions.md", "docs/index.md", "docs/media.md", "docs/shapes.md")
 PYTHON = re.compile(r"^```python\n(.*?)^```\n(?:\n```text\n(.*?)^```)?", re.DOTALL | re.MULTILINE)
-
-
-@pytest.fixture
-def registers(monkeypatch):
-    """What a page registers is forgotten after the test."""
-    for registry in (media, laws, surfaces, tasks):
-        monkeypatch.setattr(registry, "_things", dict(registry._things))
-    before = set(gym.registry)
-    yield
-    for name in set(gym.registry) - before:
-        del gym.registry[name]
 
 
 def run(*command: object, cwd: Path) -> str:

@@ -3,7 +3,9 @@
 import itertools
 import math
 import sys
+from dataclasses import dataclass
 from types import SimpleNamespace
+from typing import ClassVar
 from xml.etree import ElementTree
 
 import gymnasium as gym
@@ -14,9 +16,10 @@ import pytest
 from mjgranular import InputError, UnknownNameError
 from mjgranular.envs import SandRanges, SandVectorEnv
 from mjgranular.envs.single import SandEnv
-from mjgranular.envs.velocity import G1Velocity, Go1Velocity, Go2Velocity
+from mjgranular.envs.velocity import G1Velocity, Gait, Go1Velocity, Go2Velocity, Motor
 from mjgranular.experiment.drop import Drop, load
 from mjgranular.models import robot_path
+from mjgranular.models.hexapod import LEGS, Hexapod
 
 STILL = {"push_scale": 0.0, "reset_noise_scale": 0.0}
 STAND = {"command_x": (0.0, 0.0), "command_y": (0.0, 0.0), "command_yaw": (0.0, 0.0)}
@@ -66,7 +69,7 @@ def test_a_robot_is_found_by_its_name_or_its_path(go1, monkeypatch):
 
 
 def test_another_robot_is_refused_by_its_joints():
-    with pytest.raises(InputError, match="must have the joints FR_hip_joint"):
+    with pytest.raises(InputError, match="must have the bodies FR_calf"):
         SandEnv(Go1Velocity(robot_file=mujoco_humanoid()))
 
 
@@ -80,10 +83,12 @@ def test_files_that_are_not_such_a_robot_are_named(go1, tmp_path):
 
     with pytest.raises(InputError, match=r"nothing\.xml"):
         SandEnv(Go1Velocity(robot_file="nothing.xml"))
-    with pytest.raises(InputError, match="after a free joint"):
+    with pytest.raises(InputError, match="must be a free joint"):
         made_from('<freejoint name="floating_base_joint"/>', "")
     with pytest.raises(InputError, match="must have the bodies FR_calf"):
         made_from('<body name="FR_calf"', '<body name="FR_shin"')
+    with pytest.raises(InputError, match="go1 has no gravity"):
+        made_from("<worldbody>", '<option gravity="0 0 0"/><worldbody>')
     floor = '<worldbody><geom name="floor" type="plane" size="1 1 1"/>'
     observation, _ = made_from("<worldbody>", floor).reset(seed=0)
     assert observation.shape == (47,)
@@ -116,7 +121,7 @@ def test_a_robot_on_two_legs_meets_the_sand_with_its_soles():
     task = G1Velocity(**STILL, **STAND, privileged=True)
     model = task.model
     assert (model.nu, model.nv) == (12, 18)  # waist and arms are locked
-    feet = [model.geom(f"{side} sole") for side in ("left", "right")]
+    feet = [model.geom(f"{side}_ankle_roll_link sole") for side in ("left", "right")]
     for foot in feet:
         length, width, height = 2 * foot.size
         assert 0.19 < length < 0.22
@@ -424,3 +429,80 @@ def test_a_delay_gives_the_targets_of_an_earlier_step():
 def test_motors_that_cannot_be_are_refused(options, message):
     with pytest.raises(InputError, match=message):
         Go1Velocity(**options)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Insect(Go1Velocity):
+    """The package's hexapod with three joints in each leg."""
+
+    title = "a robot of one's own follows commands"
+    feet: ClassVar = dict(zip((f"{leg}_knee" for leg in LEGS), (1, -1, 1, -1, 1, -1), strict=True))
+    motors: ClassVar = {
+        "swing": Motor(3.0, 2e-3, 12.0, 0.25),
+        "lift": Motor(3.0, 2e-3, 12.0, 0.25),
+        "twist": Motor(3.0, 2e-3, 12.0, 0.25),
+    }
+    stance = 18 * (0.0,)
+    pose = 18 * (0.3,)
+    gait = Gait(2.0, 0.03, 0.07, 1.0, (0.0, 0.5, 0.0), (-1.0, 0.0, 0.0))
+
+    def load(self):
+        spec = Hexapod().spec(0.005)
+        for leg in LEGS:
+            knee = spec.body(f"{leg}_knee")
+            knee.add_joint(name=f"{leg}_twist", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1])
+        return spec
+
+
+def test_a_robot_of_ones_own_follows_commands():
+    task = Insect(
+        **STILL, command_x=(0.1, 0.1), command_y=(0, 0), command_yaw=(0, 0),
+        history=1, delay=(2, 2), privileged=True,
+    )  # fmt: skip
+    env, batch = SandEnv(task), SandVectorEnv(task, 2)
+    observation, info = env.reset(seed=0)
+    batch.reset(seed=0)
+    heading = env.data.xmat[1].reshape(3, 3)[:, 0].copy()
+    assert observation.shape == (6 + 3 * 18 + 5 + 6 + 3 * 18,)
+    assert info["privileged"].shape == (3 + 6 + 8,)
+    still = np.zeros(18, np.float32)
+    for _ in range(100):
+        observation, _, terminated, _, info = env.step(still)
+        observations, *_ = batch.step(np.stack([still, still]))
+        assert not terminated
+    assert (observations[0] == observation).all()
+    assert info["sand/depth"] < 0.05  # its legs bear it
+    assert heading[:2] @ env.data.qpos[:2] > 0.03  # in 1.5 s at up to 0.1 m/s
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"stance": (0.0,)}, "Mine.stance must have 18 numbers, not 1"),
+        ({"gait": Go1Velocity.gait._replace(stride=(1, 0))}, "Mine.gait.stride must have 3"),
+        ({"motors": {"swing": Motor(3.0, 2e-3)}}, "Mine.stance must have 6 numbers, not 18"),
+        (
+            {"feet": {"torso": 1}, "stance": (0,) * 3, "pose": (0,) * 3},
+            "hinges swing, .*, not none",
+        ),
+    ],
+)
+def test_what_a_robot_of_ones_own_lacks_is_said(changed, said):
+    mine = dataclass(frozen=True, kw_only=True)(type("Mine", (Insect,), changed))
+    with pytest.raises(InputError, match=said):
+        SandEnv(mine())
+
+
+def test_a_trunk_that_collides_with_nothing_needs_the_height_of_an_end(monkeypatch):
+    spec = Insect().load()
+    spec.geom("torso").conaffinity = 0
+    monkeypatch.setattr(Insect, "load", lambda self: spec)
+    with pytest.raises(InputError, match=r"set Insect\.low"):
+        SandEnv(Insect())
+
+
+def test_a_missing_mesh_is_named(tmp_path, go1):
+    file = tmp_path / "robot.xml"
+    file.write_text(go1.read_text())
+    with pytest.raises(InputError, match="Error opening file"):
+        SandEnv(Go1Velocity(robot_file=file))

@@ -84,6 +84,9 @@ def prepare(page, place):
     if page == "docs/training.md":
         for where, name in RUNS.items():
             shutil.copytree(shipped_policies()[name].path, place / where)
+    if page == "docs/environments.md":
+        (task,) = re.findall(r"```python\n([^`]+class HexapodVelocity[^`]+)```", PAGES[page])
+        (place / "my_module.py").write_text(task)
 
 
 def shortened(command):
@@ -109,7 +112,7 @@ def with_options(words, options):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("page", [name for name, text in PAGES.items() if commands(text)])
-def test_commands_run(page, place, capsys):
+def test_commands_run(page, place, capsys, registers):
     prepare(page, place)
     elsewhere = commands(PAGES["docs/training.md"]) if page == "docs/command-line.md" else ()
     for command in commands(PAGES[page]):

@@ -455,6 +455,13 @@ def test_an_environment_without_a_file_takes_the_default(tmp_path):
     assert settings_file("../../secret") == FOLDER / "default.toml"
 
 
+def test_settings_of_another_environment_are_taken_by_its_id():
+    other = Path("mjgranular/Go1Velocity-v0")
+    assert find_settings("No-v0", file=other) == find_settings(str(other))
+    with pytest.raises(InputError, match="Go5"):
+        find_settings("No-v0", file=Path("mjgranular/Go5Velocity-v0"))
+
+
 def test_settings_are_changed_by_name():
     settings = change(
         find_settings(ID),
