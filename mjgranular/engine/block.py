@@ -162,6 +162,7 @@ HEADER_DTYPE = np.dtype(
         ("instances", np.int64),  # of all plugins in the model
         ("later", np.int64),  # the next instance of sand in the model; 0 for none
         ("senses", np.int64),  # whether the model has sensors that may read forces on bodies
+        ("current", np.int64),  # whether forces are those of the step that MuJoCo computes
         ("updating", np.int64),  # whether those are being recomputed (`external`)
         ("size", np.int64),  # of the block [bytes]
         ("image", np.int64),  # number of the image that it copies

@@ -31,7 +31,7 @@ from mjgranular.scheme.scheme import BAD_TIMESTEP, REFUSED
 Callbacks = dict[str, tuple[Any, str]]
 """Compiled functions by their fields in `mjpPlugin`, and their signatures."""
 
-_SENSOR = 1 << 1  # mjPLUGIN_SENSOR
+_ACTUATOR, _SENSOR = 1 << 0, 1 << 1  # mjPLUGIN_ACTUATOR, mjPLUGIN_SENSOR
 _BEGIN = HEADER_DTYPE.itemsize
 _APPLIED = int(HEADER_DTYPE.fields["applied"][1])  # pyright: ignore[reportOptionalSubscript]
 
@@ -172,13 +172,13 @@ def is_of_that_shape(header):
 
 
 @partial(compiled, inline=True)
-def add_wrenches(table, qfrc, awake):
+def add_wrenches(table, qfrc, awake, sign):
     """Add the bodies' wrenches to generalized forces: their power along each degree of freedom.
 
     Columns of `cdof` are velocities (angular, linear) about the center of mass of the tree, so the
     moment is taken there. Sleeping trees are skipped, as MuJoCo does.
 
-    `qfrc` is the address of nv forces, `awake` that of `body_awake`.
+    `qfrc` is the address of nv forces, `awake` that of `body_awake`; `sign` is -1.0 to remove them.
     """
     bodies = bodies_of(table)
     parent = ints(table[memory.DOF_PARENT], table[memory.NV])
@@ -187,7 +187,7 @@ def add_wrenches(table, qfrc, awake):
         body = bodies[slot]
         if states[body.body] == ASLEEP:
             continue
-        f, m = read_vector(body.wrench, 0), read_vector(body.wrench, 3)
+        f, m = sign * read_vector(body.wrench, 0), sign * read_vector(body.wrench, 3)
         if f.x == 0.0 and f.y == 0.0 and f.z == 0.0 and m.x == 0.0 and m.y == 0.0 and m.z == 0.0:
             continue
         center = read_vector(row_of(table[memory.XIPOS], body.body, 3), 0)
@@ -229,7 +229,7 @@ def copy(to, model, origin, instance):
     from_ = _bytes(other.results, other.results_size)
     for i in range(mine.results_size):
         into[i] = from_[i]
-    mine.tuned = 0
+    mine.tuned, mine.current = 0, other.current
 
 
 @compiled
@@ -268,8 +268,14 @@ def compute(model, data, instance, capability):
     if capability == _SENSOR:
         update_sensors(model, data, instance, block)
         return
-    header.updating = 0  # it is still set if a user's callback raised
     table = table_at(header.table)
+    if capability == _ACTUATOR:
+        # `mjd_transitionFD` omits passive forces in steps with other controls, which change these.
+        if header.current != 0 or not has_passive_forces(model):
+            return
+        add_wrenches(table, header.qfrc, header.awake, -1.0)
+    header.current = 1
+    header.updating = 0  # it is still set if a user's callback raised
     if header.tuning_count != 0 and not adjust(block, model, data, instance):
         table[memory.OFF] = 1
     waits = header.whole != 0 and is_solved_later(header, data)
@@ -290,7 +296,7 @@ def compute(model, data, instance, capability):
         return
     address = header.table
     while address != 0:
-        add_wrenches(table_at(address), header.qfrc, header.awake)
+        add_wrenches(table_at(address), header.qfrc, header.awake, 1.0)
         address = table_at(address)[memory.BESIDE]
 
 
@@ -304,6 +310,7 @@ def advance(model, data, instance):
     if block == 0:
         return
     header = header_at(block)
+    header.current = 0
     if not has_passive_forces(model):
         if header.refusals != 0:
             _fail(header.refusals + REFUSAL_SIZE * len(REFUSED))

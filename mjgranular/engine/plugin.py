@@ -28,7 +28,7 @@ from mjgranular.relief.memory import as_memory
 
 _logger = logging.getLogger(__name__)
 
-_SENSOR, _PASSIVE = 1 << 1, 1 << 2  # mjPLUGIN_SENSOR, mjPLUGIN_PASSIVE
+_ACTUATOR, _SENSOR, _PASSIVE = 1 << 0, 1 << 1, 1 << 2  # of mjtPluginCapabilityBit
 _VELOCITY, _ACCELERATION = int(mujoco.mjtStage.mjSTAGE_VEL), int(mujoco.mjtStage.mjSTAGE_ACC)
 _LONGEST = 440  # bytes of a message: MuJoCo cuts at 500, including its own words
 
@@ -238,7 +238,7 @@ _PLUGINS = (
     Plugin(
         config.NAME,
         config.KEYS,
-        _PASSIVE | _SENSOR,  # it measures nothing, but is called after MuJoCo's sensors
+        _PASSIVE | _ACTUATOR | _SENSOR,  # it measures nothing, but is called after MuJoCo's sensors
         _ACCELERATION,
         count_state=_count_state,
     ),
