@@ -380,7 +380,8 @@ def _place(drop: Drop, model: mujoco.MjModel, data: mujoco.MjData, sand: Sand) -
     if not roots:
         raise InputError(
             "the model has no free joint and no vertical slide at its root: it can be neither "
-            "lifted (--height) nor thrown (--velocity); use a keyframe instead"
+            "lifted (--height) nor thrown (--velocity); use a keyframe, or in URDF, which fixes "
+            "the base to the world, a joint of type floating"
         )
     for _, velocity, sign in roots:
         data.qvel[velocity] -= sign * drop.velocity

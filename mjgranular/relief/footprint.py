@@ -11,6 +11,7 @@ import numpy as np
 
 from mjgranular.kernel.lanes import aligned
 from mjgranular.relief.memory import WINDOW, Memory
+from mjgranular.shape.patches import mesh_corners
 from mjgranular.shape.sizes import check_count, geom_axes, geom_width, half_extents
 
 POINT_DTYPE = np.dtype(
@@ -205,18 +206,14 @@ def _middles(length: float, cell: float) -> np.ndarray:
 def _on_mesh(model: mujoco.MjModel, geom: int, cell: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the centers of the triangles of a mesh, divided until none is longer than a cell."""
     places, normals = [], []
-    mesh = int(model.geom_dataid[geom])
-    first, start = int(model.mesh_vertadr[mesh]), int(model.mesh_faceadr[mesh])
-    faces = model.mesh_face[start : start + int(model.mesh_facenum[mesh])]
-    corners = model.mesh_vert[first:][faces].astype(float)
+    corners = mesh_corners(model, geom, warn=False)  # those of the force, which warn
     areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    outward = -1.0 if (corners.mean(axis=1) * areas).sum() < 0 else 1.0  # or it is inside out
     for corner, area in zip(corners, areas, strict=True):
         if area.any():
             edges = corner - np.roll(corner, 1, axis=0)
             weights = _in_triangle(math.ceil(np.linalg.norm(edges, axis=1).max() / cell - 1e-9))
             places.append(weights @ corner)
-            normals.append(np.broadcast_to(outward * area, places[-1].shape))
+            normals.append(np.broadcast_to(area, places[-1].shape))
     return np.concatenate(places), np.concatenate(normals)
 
 

@@ -139,9 +139,12 @@ def hidden_skin(
     to its own by hinge or ball joints, parent or child, it hides what is inside it at `qpos0`, the
     pose of `data`, and no farther from the joint than half its width: that stays there, roughly, as
     the joint turns. A slide joint hides nothing. Where two surfaces coincide and face the same way,
-    that of the lower id is kept; if they face each other, none. A mesh hides nothing.
+    that of the lower id is kept, or that of no mesh; if they face each other, none. A mesh hides
+    only itself, where it is there twice.
     """
     hidden = np.zeros(len(skin.points), bool)
+    is_mesh = int(model.geom_type[geom]) == _GEOM.mjGEOM_MESH
+    poses = np.hstack([data.geom_xpos, data.geom_xmat])
     turn = data.geom_xmat[geom].reshape(3, 3)
     # Cells without area have no normal and are not used; what is too far to compute hides nothing.
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
@@ -152,6 +155,9 @@ def hidden_skin(
             joints = _joints_between(model, geom, other)
             if other == geom or joints is None or apart > sum(model.geom_rbound[[geom, other]]):
                 continue
+            is_same = is_mesh and model.geom_dataid[other] == model.geom_dataid[geom]
+            if is_same and other < geom and not joints and np.allclose(poses[other], poses[geom]):
+                return ~hidden
             near = np.ones(len(points), bool)
             for joint in joints:
                 away = np.linalg.norm(points - data.xanchor[joint], axis=1)
@@ -159,7 +165,7 @@ def hidden_skin(
             back, place = data.geom_xmat[other].reshape(3, 3), data.geom_xpos[other]
             step = _TOUCH * sizes.half_extents(model, other).max() * normals
             covered = _inside(model, other, (points + step - place) @ back)
-            if other < geom:
+            if other < geom or is_mesh:
                 covered |= _inside(model, other, (points - step - place) @ back)
             hidden |= near & covered
     return hidden

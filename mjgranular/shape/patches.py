@@ -33,6 +33,7 @@ _FLAT = 1e-6  # patches narrower than this share of their mesh have zero width; 
 _PARALLEL, _COPLANAR = 0.985, 0.05
 _CURVED = math.sqrt(1 - _PARALLEL**2)  # such a fraction of a cylinder's projection is no flat face
 _ENOUGH = 2000  # maximum number of facets in the comparison; chosen
+_NEARLY_CLOSED = 0.1  # sum of area vectors over that of areas, at most; chosen
 _CANCELLED = 1e-6  # relative size of the summed area vectors below which a patch has no direction
 
 
@@ -181,11 +182,11 @@ def _size(corners: np.ndarray) -> float:
     return rod_length(points, areas, corners - points[:, None], 12)
 
 
-def mesh_corners(model: mujoco.MjModel, geom: int) -> np.ndarray:
+def mesh_corners(model: mujoco.MjModel, geom: int, *, warn: bool = True) -> np.ndarray:
     """Return corners of the triangles of a geom's mesh [m], in the geom's frame, shape (n, 3, 3).
 
-    They are counter-clockwise seen from outside: a mesh that is inside out is flipped, with a
-    warning. There is one too for a mesh that is not watertight, with the number of its open edges.
+    They are counter-clockwise seen from outside: a mesh that is inside out is flipped, if it is
+    nearly closed, with a warning. So is there one of a mesh that is not watertight.
     """
     mesh = int(model.geom_dataid[geom])
     if mesh < 0 or model.mesh_facenum[mesh] == 0:
@@ -195,33 +196,35 @@ def mesh_corners(model: mujoco.MjModel, geom: int) -> np.ndarray:
     vertices = model.mesh_vert[first : first + int(model.mesh_vertnum[mesh])].astype(float)
     start = int(model.mesh_faceadr[mesh])
     faces = model.mesh_face[start : start + int(model.mesh_facenum[mesh])]
-    gaps = open_edges(vertices, faces)
-    if gaps:
+    if warn and (gaps := open_edges(vertices, faces)):
         warn_user(
             f"the mesh of geom {geom_name(model, geom)} is not watertight, it has {gaps} open "
-            "edges: its faces act as they are, each on its outer side"
+            "edges, or edges of faces turned opposite ways: each face acts on its outer side"
         )
     corners = vertices[faces]
     vectors = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     if not vectors.any():
         raise InputError(f"the mesh of geom {geom_name(model, geom)} has no face with an area")
-    if not gaps and (corners.mean(axis=1) * vectors).sum() < 0:
-        warn_user(
-            f"the mesh of geom {geom_name(model, geom)} is inside out: its faces are turned round"
-        )
+    rest = np.linalg.norm(vectors.sum(axis=0)) / np.linalg.norm(vectors, axis=1).sum()
+    middles = corners.mean(axis=1)
+    if rest < _NEARLY_CLOSED and ((middles - middles.mean(axis=0)) * vectors).sum() < 0:
+        if warn:
+            name = geom_name(model, geom)
+            warn_user(f"the mesh of geom {name} is inside out: its faces are turned round")
         return corners[:, ::-1]
     return corners
 
 
 def open_edges(vertices: np.ndarray, faces: np.ndarray) -> int:
-    """Count the edges of a triangle mesh that do not belong to two faces.
+    """Count the edges of a triangle mesh along which not as many faces run one way as the other.
 
-    Vertices at the same position count as one: MuJoCo splits vertices where normals or textures
-    differ.
+    Vertices at the same position, to rounding, count as one: MuJoCo splits vertices where normals
+    or textures differ.
     """
-    _, merged = np.unique(vertices, axis=0, return_inverse=True)
+    places = np.round(vertices / (_FLAT * np.ptp(vertices, axis=0).max()))
+    _, merged = np.unique(places, axis=0, return_inverse=True)
     corners = merged.reshape(-1)[faces]
-    edges = np.sort(corners[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    edges = edges[edges[:, 0] != edges[:, 1]]
-    _, counts = np.unique(edges, axis=0, return_counts=True)
-    return int((counts % 2 == 1).sum())
+    edges = corners[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    ways = np.sign(edges[:, 1] - edges[:, 0])
+    _, edge = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True)
+    return np.count_nonzero(np.bincount(edge.reshape(-1), ways))

@@ -436,6 +436,21 @@ def test_same_geom_twice_counts_once(name):
     assert len(facets_from_model(model, [0, 1], hidden="keep")) == 2 * len(once)
 
 
+@pytest.mark.parametrize("kinds", [("mesh", "mesh"), ("mesh", "box"), ("box", "mesh")])
+def test_mesh_at_the_place_of_another_geom_counts_once(kinds):
+    spec = mujoco.MjSpec()
+    spec.add_mesh(name="mesh", uservert=(0.02 * CORNERS).ravel(), userface=SIDES.ravel())
+    holder = spec.worldbody.add_body(name="body")
+    holder.add_freejoint()
+    for kind in kinds:
+        if kind == "mesh":
+            holder.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="mesh")
+        else:
+            holder.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.02, 0.02, 0.02])
+    found = facets_from_model(spec.compile(), [0, 1])
+    assert found["area"].sum() == pytest.approx(6 * 0.04**2, rel=1e-6)
+
+
 def test_boxes_that_touch_are_one():
     cut = union(
         "<geom type='box' size='.02 .02 .02' pos='-.02 0 0'/>",
@@ -911,6 +926,15 @@ def test_edge_of_three_faces_is_open():
         mesh_facets(mesh_model(0.05 * fin, [*SIDES, [0, 1, 8]]))
 
 
+def test_edge_of_faces_turned_opposite_ways_is_open():
+    # The floor alone is turned: every edge has two faces.
+    faces = SIDES.copy()
+    down = CORNERS[faces][:, :, 2].max(axis=1) < 0
+    faces[down] = faces[down][:, ::-1]
+    with pytest.warns(GranularWarning, match="4 open edges, or edges of faces turned opposite"):
+        mesh_facets(mesh_model(0.05 * CORNERS, faces))
+
+
 def test_open_sheet_is_pushed_on_its_outer_side():
     # Two squares of a cube, turned inwards (MuJoCo makes no mesh of one alone): the floor faces up,
     # the wall along x.
@@ -934,10 +958,27 @@ def test_watertight_mesh_gives_no_warning(split):
     assert len(mesh_facets(mesh_model(vertices, faces))) == 12
 
 
-def test_mesh_that_is_inside_out_is_told():
-    model = mesh_model(0.05 * CORNERS, SIDES[:, ::-1])
-    with pytest.warns(GranularWarning, match="inside out"):
-        mesh_facets(model)
+def test_corners_that_differ_by_rounding_are_one():
+    vertices = 0.05 * CORNERS[SIDES].reshape(-1, 3)
+    vertices += 1e-9 * np.random.default_rng(0).normal(size=vertices.shape)
+    assert len(mesh_facets(mesh_model(vertices, np.arange(36).reshape(-1, 3)))) == 12
+
+
+@pytest.mark.parametrize("missing", [0, 1])
+def test_mesh_that_is_inside_out_is_turned(missing):
+    # One with a hole of a forty-eighth of its surface too.
+    vertices, faces = 0.05 * CORNERS, SIDES[:, ::-1]
+    if missing:
+        middles = vertices[faces].mean(axis=1)
+        extra = len(vertices) + np.arange(len(faces))
+        faces = np.concatenate(
+            [np.stack([faces[:, k], faces[:, (k + 1) % 3], extra], 1) for k in range(3)]
+        )[1:]
+        vertices = np.concatenate([vertices, middles])
+    with pytest.warns(GranularWarning) as told:
+        found = mesh_facets(mesh_model(vertices, faces))
+    assert "inside out" in str(told[-1].message)
+    assert volume(found) > 0.0
 
 
 # Bad input
