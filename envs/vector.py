@@ -31,15 +31,8 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         max_episode_steps: steps after which an episode is truncated; None for never.
         autoreset_mode: when a finished episode restarts.
         threads: number of threads; 0 for one per core.
-        render_mode: None or "rgb_array".
-        width: width of images [px].
-        height: height of images [px].
-        camera_name: a camera of the model; None for one that follows the robot.
-        **options: options of the task, if it is given by name.
-
-    Raises:
-        UnknownNameError: no such task, medium, law or camera; lists the valid names.
-        InputError: an option that the task does not have, or a value outside its range.
+        render_mode: None or "rgb_array"; `width`, `height`, `camera_name`, `**options` and errors
+            are those of `SandEnv`.
     """
 
     def __init__(

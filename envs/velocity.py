@@ -116,8 +116,7 @@ class Go1Velocity(Task):
     | 44 | commanded yaw rate, to the left | rad/s | `command_yaw` |
     | 45, 46 | sine and cosine of the trot's phase; 0 if the command is to stand | 1 | -1 to 1 |
 
-    With `history=4`, 168 more: 0 to 41 of the last four steps, the latest first; zeros before the
-    start.
+    With `history=4`, 168 more: 0 to 41 of the last four steps, the latest first; at first zeros.
 
     With `privileged=True`, `info["privileged"]` has what no robot measures, for a critic:
 
@@ -174,13 +173,12 @@ class Go1Velocity(Task):
     its center is less than 0.06 m above it. Truncated after 1000 steps of 0.02 s.
 
     ## Arguments
-    `robot_file`, a name of MuJoCo Menagerie or a path of MJCF with the same joints and calves,
-    whose other joints are locked; `command_x=(-0.8, 0.8)`, `command_y=(-0.4, 0.4)`,
-    `command_yaw=(-1, 1)`, `push_scale=1`,
-    `motor_strength=(1, 1)`, `delay=(0, 0)`, `reset_noise_scale=0.05`, `history=0` earlier steps in
-    the observation, `privileged=False`, the sizes of the weights above, such as `linear_weight=3`,
-    `frame_skip=4` substeps of 5 ms, and those of `Task`: the medium, randomised sand and so on. The
-    default resolution is 2.
+    `robot_file`, a name of MuJoCo Menagerie or a path of MJCF with the same legs, whose other
+    joints are locked; `command_x=(-0.8, 0.8)`, `command_y=(-0.4, 0.4)`, `command_yaw=(-1, 1)`,
+    `push_scale=1`, `motor_strength=(1, 1)`, `delay=(0, 0)`, `reset_noise_scale=0.05`, `history=0`
+    earlier steps in the observation, `privileged=False`, the sizes of the weights above, such as
+    `linear_weight=3`, `frame_skip=4` substeps of 5 ms, and those of `Task`: the medium, randomised
+    sand and so on. `bodies` are the feet unless given. The default resolution is 2.
 
     ## Version History
     v0: first.

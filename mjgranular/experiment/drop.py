@@ -379,9 +379,8 @@ def _place(drop: Drop, model: mujoco.MjModel, data: mujoco.MjData, sand: Sand) -
     roots = _vertical_dofs(model)
     if not roots:
         raise InputError(
-            "the model has no free joint and no vertical slide at its root: it can be neither "
-            "lifted (--height) nor thrown (--velocity); use a keyframe, or in URDF, which fixes "
-            "the base to the world, a joint of type floating"
+            "the model has no free joint (in URDF: floating) and no vertical slide at its root: it "
+            "can be neither lifted (--height) nor thrown (--velocity); use a keyframe instead"
         )
     for _, velocity, sign in roots:
         data.qvel[velocity] -= sign * drop.velocity
