@@ -83,7 +83,7 @@ drop block.xml --height -0.1 | height must be finite and not negative
 drop block.xml --height nan | height must be finite and not negative
 drop block.xml --height 10cm | a number without its unit ... '10cm'
 drop hinged.xml --height 1 | no free joint (in URDF: floating) and no vertical slide
-drop hinged.xml --velocity 1 | the model has no free joint and no vertical slide at its root: it
+drop hinged.xml --velocity 1 | no free joint (in URDF: floating) and no vertical slide
 drop block.xml --velocity inf | the velocity must be finite
 drop block.xml --duration 0 | the duration must be positive and finite
 drop block.xml --duration inf | the duration must be positive and finite
