@@ -171,7 +171,7 @@ def is_of_that_shape(header):
     return alike
 
 
-@partial(compiled, inline=True)
+@compiled
 def add_wrenches(table, qfrc, awake, sign):
     """Add the bodies' wrenches to generalized forces: their power along each degree of freedom.
 
