@@ -325,10 +325,10 @@ class Go1Velocity(Task):
 
     @cached_property
     def _rows(self) -> _Rows:
-        count = len(self.feet) * len(self.motors)
-        sensed = 6 + 3 * count
+        count, sensed = len(self.stance), 6 + 3 * len(self.stance)
         ends = np.cumsum([_DELAY + 1, count, count * _LATE, sensed * self.history]).tolist()
-        return _Rows(*(slice(*each) for each in pairwise(ends)), sensed)
+        action, targets, past = (slice(*each) for each in pairwise(ends))
+        return _Rows(action, targets, past, sensed)
 
     @cached_property
     def _stance(self) -> np.ndarray:

@@ -227,4 +227,4 @@ def open_edges(vertices: np.ndarray, faces: np.ndarray) -> int:
     edges = corners[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
     ways = np.sign(edges[:, 1] - edges[:, 0])
     _, edge = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True)
-    return np.count_nonzero(np.bincount(edge.reshape(-1), ways))
+    return int(np.count_nonzero(np.bincount(edge.reshape(-1), ways)))

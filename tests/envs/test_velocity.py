@@ -461,7 +461,7 @@ def test_a_robot_of_ones_own_follows_commands():
     )  # fmt: skip
     env, batch = SandEnv(task), SandVectorEnv(task, 2)
     observation, info = env.reset(seed=0)
-    batch.reset(seed=0)
+    observations, _ = batch.reset(seed=0)
     heading = env.data.xmat[1].reshape(3, 3)[:, 0].copy()
     assert observation.shape == (6 + 3 * 18 + 5 + 6 + 3 * 18,)
     assert info["privileged"].shape == (3 + 6 + 8,)
