@@ -350,8 +350,8 @@ class Go1Velocity(Task):
         """`low`, or where the trunk meets level ground [m]."""
         if self.low is not None:
             return self.low
-        model = self.model
-        parts = np.flatnonzero((model.geom_bodyid == 1) & (model.geom_conaffinity != 0))
+        model, trunk = self.model, self.model.geom_bodyid == self.model.jnt_bodyid[0]
+        parts = np.flatnonzero(trunk & (model.geom_conaffinity != 0))
         return -min(
             model.geom_pos[geom, 2] - np.abs(geom_axes(model, geom)[2]) @ model.geom_aabb[geom, 3:]
             for geom in parts.tolist()
