@@ -435,7 +435,7 @@ def test_motors_that_cannot_be_are_refused(options, message):
 class Insect(Go1Velocity):
     """The package's hexapod with three joints in each leg."""
 
-    title = "a robot of one's own follows commands"
+    title = "a robot of your own follows commands"
     feet: ClassVar = dict(zip((f"{leg}_knee" for leg in LEGS), (1, -1, 1, -1, 1, -1), strict=True))
     motors: ClassVar = {
         "swing": Motor(3.0, 2e-3, 12.0, 0.25),

@@ -975,9 +975,9 @@ def test_mesh_that_is_inside_out_is_turned(missing):
             [np.stack([faces[:, k], faces[:, (k + 1) % 3], extra], 1) for k in range(3)]
         )[1:]
         vertices = np.concatenate([vertices, middles])
-    with pytest.warns(GranularWarning) as told:
+    with pytest.warns(GranularWarning) as caught:
         found = mesh_facets(mesh_model(vertices, faces))
-    assert "inside out" in str(told[-1].message)
+    assert "inside out" in str(caught[-1].message)
     assert volume(found) > 0.0
 
 
