@@ -40,6 +40,7 @@ class Facet(NamedTuple):
     area: float
     face: float  # width of the flat face, or the geom, that it is part of [m]
     flat: float  # fraction of the geom's projection in this direction that is one flat face
+    layer: float  # width, of sand that moves along [m]
 
 
 class FacetSample(NamedTuple):
@@ -196,8 +197,8 @@ def facet_kernel(
 
 @partial(compiled, inline=True)
 def _moved(law, facet, up, mean):
-    """Return the mass of the layer in front of a facet: kappa w thick, at most the sand's depth."""
-    layer = law.added * facet.face
+    """Return the mass of the layer in front of a facet: kappa b thick, at most the sand's depth."""
+    layer = law.added * facet.layer
     beyond = up * layer > mean
     return law.density * facet.area * choose(beyond, mean / choose(beyond, up, 1.0), layer)
 

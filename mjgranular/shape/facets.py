@@ -25,6 +25,7 @@ FACET_DTYPE = np.dtype(
         ("width", np.float64),  # of the widest face of the geom, for Froude numbers [m]
         ("face", np.float64),  # width of the face that it is part of [m] (`shape.rigid`)
         ("flat", np.float64),  # 0 to 1: fraction of the geom's projection that is one flat face
+        ("layer", np.float64),  # width, of sand that moves along [m] (`shape.rigid`)
     ]
 )
 
@@ -121,7 +122,7 @@ def facets_from_model(
     if meshes == "patches":
         join_faces(model, own, facets)
     else:
-        facets["face"] = facets["width"]
+        facets["face"] = facets["layer"] = facets["width"]
     widest = np.zeros(model.ngeom)
     np.maximum.at(widest, facets["geom"], facets["face"])
     facets["width"] = widest[facets["geom"]]

@@ -70,6 +70,9 @@ def plate(law, *, height, axis, size, speed=0.0, timestep=1e-3, gravity=0.0):
     return model, data, Sand(model, law=law, scheme="implicit")
 
 
+LONG = 1 + 0.73 * (1 - 0.06 / 0.1)  # layer of UPRIGHT over that of a square plate as wide, (A0)
+
+
 def of_plate(area, width):
     """Sand in front of a face that has it without end [kg]."""
     return DENSITY * KAPPA * width * area
@@ -95,7 +98,7 @@ def test_sand_that_slows_down_resists_less():
     force = -static.report(data)["plate"].force[0]
     for _ in range(5):
         sand.step(data)
-    mass = 0.5 + of_plate(0.1 * 0.06, 0.06)
+    mass = 0.5 + of_plate(0.1 * 0.06, 0.06 * LONG)
     # Edges, which lie along the motion, are on a ramp under this scheme: 1 % of the force.
     assert data.qvel[0] == pytest.approx(2.0 - 5e-3 * force / mass, rel=3e-3)
 
@@ -160,7 +163,7 @@ def test_what_starts_from_rest_pays_in_its_first_step(timestep):
     _, data, sand = plate(LAYER, height=-0.1, axis="1 0 0", size=UPRIGHT, timestep=timestep)
     data.qfrc_applied[0] = 100.0
     sand.step(data)
-    moved = of_plate(0.1 * 0.06, 0.06)
+    moved = of_plate(0.1 * 0.06, 0.06 * LONG)
     assert data.qvel[0] == pytest.approx(100.0 * timestep / (0.5 + moved), rel=1e-9)
 
 

@@ -291,6 +291,22 @@ def test_widths_are_those_of_faces():
         assert face[axis == 2] == pytest.approx(0.02, rel=0.02)
 
 
+def test_layers_are_thick_before_what_is_long():
+    def ratio(geoms):
+        model = model_of(geoms)
+        facets = facets_from_model(model, range(model.ngeom))
+        side = (abs(facets["normal"][:, 0]) < 0.01) & (abs(facets["face"] - 0.02) < 1e-6)
+        return facets["layer"][side] / 0.02
+
+    rod = '<geom type="capsule" size="0.01" fromto="{} 0 0 {} 0 0"/>'
+    one, cut = rod.format(0, 0.18), "".join(rod.format(x, x + 0.06) for x in (0, 0.06, 0.12))
+    for geoms in (one, cut):  # of a rod of ten diameters
+        assert ratio(geoms) == pytest.approx(1 + 1.36 * 0.9, rel=0.01)
+    assert ratio('<geom size="0.01"/>') == pytest.approx(1.0)
+    plate = '<geom type="box" size="0.02 0.01 0.005"/>'
+    assert ratio(plate) == pytest.approx(1 + 0.73 * 0.5, rel=0.01)
+
+
 def test_sides_of_two_bodies_do_not_shelter_each_other():
     model = mujoco.MjModel.from_xml_string("""
     <mujoco><worldbody>

@@ -164,7 +164,7 @@ def test_tiles_hold_the_facets_in_their_order():
     first = 0
     for slot, count in enumerate(counts):
         mine = elements[elements["slot"] == slot]
-        here = tiles[first : first + -(-count // lanes)].transpose(0, 2, 1).reshape(-1, 21)
+        here = tiles[first : first + -(-count // lanes)].transpose(0, 2, 1).reshape(-1, 22)
         first += -(-count // lanes)
         np.testing.assert_array_equal(here[:count, :3], mine["point"])
         np.testing.assert_array_equal(here[:count, 3:6], mine["normal"])
@@ -173,6 +173,7 @@ def test_tiles_hold_the_facets_in_their_order():
         np.testing.assert_array_equal(here[:count, 18], mine["area"])
         np.testing.assert_array_equal(here[:count, 19], mine["face"])
         np.testing.assert_array_equal(here[:count, 20], mine["flat"])
+        np.testing.assert_array_equal(here[:count, 21], mine["layer"])
         assert (here[count:] == here[count - 1]).all()  # lanes that are left over
 
 
