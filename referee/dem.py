@@ -170,7 +170,10 @@ def _parser() -> argparse.ArgumentParser:
         part.add_argument("--mass", type=float, default=0.0, help="of what is dropped [kg]")
         part.add_argument("--speed", type=float, nargs="+", default=[1.0], help="[m/s]")
         part.add_argument(
-            "--angle", type=float, default=0.0, help="of a rod from the vertical [deg]"
+            "--angle",
+            type=float,
+            default=0.0,
+            help="of a rod or a plate's normal [deg]",
         )
         part.add_argument("--duration", type=float, default=0.12, help="of a drop, at most [s]")
         part.add_argument("--depth", type=float, default=0.03, help="of a push; of a drag [m]")
@@ -190,7 +193,8 @@ def _intruder(options: argparse.Namespace) -> Intruder:
         return sphere(options.diameter)
     if options.shape == "capsule":
         return capsule(options.length, options.diameter, math.radians(options.angle))
-    return plate(options.length, options.diameter, upright=options.what == "drag")
+    upright, tilt = options.what == "drag", math.radians(options.angle)
+    return plate(options.length, options.diameter, upright=upright, tilt=tilt)
 
 
 def _run(

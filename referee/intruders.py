@@ -84,7 +84,13 @@ def capsule(length: float, diameter: float, angle: float) -> Intruder:
 
 
 def plate(
-    length: float, thickness: float, *, upright: bool = False, count: int = 1, gap: float = 0.0
+    length: float,
+    thickness: float,
+    *,
+    upright: bool = False,
+    tilt: float = 0.0,
+    count: int = 1,
+    gap: float = 0.0,
 ) -> Intruder:
     """Return a square plate, a flat foot or a row of them, as shells of spheres.
 
@@ -92,6 +98,7 @@ def plate(
         length: side of the plate [m].
         thickness: [m].
         upright: whether its normal is along x, as for a drag.
+        tilt: of the normal of a level one from the vertical, toward +x at the top [rad].
         count: number of upright plates, one behind another along -x; the inertia is that of one.
         gap: gap between their faces [m].
     """
@@ -102,7 +109,10 @@ def plate(
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     outside = (np.abs(np.abs(grid) - inner / 2) < 1e-9).any(axis=1)
     places = np.arange(count)[:, None] * np.array([-(thickness + gap), 0.0, 0.0])
-    centers = (places[:, None] + grid[outside]).reshape(-1, 3)
+    turn = np.array(
+        [[math.cos(tilt), 0, math.sin(tilt)], [0, 1, 0], [-math.sin(tilt), 0, math.cos(tilt)]]
+    )
+    centers = (places[:, None] + grid[outside]).reshape(-1, 3) @ turn.T
     moments = [(sides[(i + 1) % 3] ** 2 + sides[(i + 2) % 3] ** 2) / 12 for i in range(3)]
     body = {"shape": "plate", "length": length, "diameter": thickness}
     return Intruder(
@@ -110,7 +120,7 @@ def plate(
         centers,
         np.full(len(centers), _SHELL),
         _six(np.diag(moments)),
-        angle=math.pi / 2 if upright else 0.0,
+        angle=math.pi / 2 if upright else tilt,
         sides=tuple(sides),
         places=tuple(tuple(place) for place in places),
     )

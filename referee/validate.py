@@ -38,14 +38,23 @@ SIDEWAYS = ("drawn", "drawn_rough", "legs_poppy", "legs_glass", "robot", "wheel"
 """Sets of bodies that are dragged, turn, roll or walk."""
 
 SETS = (
-    *("seen", "small_bed", "wide_bed", "katsuragi_durian", "plates", "quikrete", "paper_link"),
+    *(
+        "seen",
+        "small_bed",
+        "wide_bed",
+        "tilted",
+        "katsuragi_durian",
+        "plates",
+        "quikrete",
+        "paper_link",
+    ),
     *SIDEWAYS,
 )
 """Folders of data, in the order of the page."""
 
 _JUDGED_SIDEWAYS = ("rft2d", "rft2d_dynamic", "rft3d", "rft3d_dynamic")
 
-SIMULATED = ("seen", "small_bed", "wide_bed")
+SIMULATED = ("seen", "small_bed", "wide_bed", "tilted")
 """Sets of simulated grains."""
 
 KAPPA, ADDED_BY = 2.5, ("sphere 1 m/s", "sphere 3 m/s")
