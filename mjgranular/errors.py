@@ -6,6 +6,7 @@ Every message is one sentence that says what is wrong and what would be right.
 from __future__ import annotations
 
 import difflib
+import os
 import sys
 import threading
 import warnings
@@ -150,7 +151,8 @@ def drawing(what: str = "MuJoCo cannot draw on this machine") -> Iterator[None]:
         raise RenderError(
             f"{what} ({type(error).__name__}: {error}); on Linux "
             "without a screen install libegl1 (apt-get install libegl1 libgl1-mesa-dri), import "
-            "mjgranular before mujoco or set MUJOCO_GL=egl, and use render_mode='rgb_array'"
+            "mjgranular before mujoco or set MUJOCO_GL=egl "
+            f"(it is {os.environ.get('MUJOCO_GL')!r}), and use render_mode='rgb_array'"
         ) from None
 
 
