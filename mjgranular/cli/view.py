@@ -55,8 +55,7 @@ class ViewCommand(options_of(Drop, without=_NOT_OPTIONS)):
     draw: Annotated[
         tuple[Literal["forces", "depth"], ...] | None, tyro.conf.arg(metavar="{forces,depth} ...")
     ] = None
-    """Of a model: arrows for the forces, dots for the elements, colored by depth. Default: forces.
-    """
+    """Of a model: arrows for forces, dots for elements, colored by depth. Default: forces."""
     speed: Annotated[float, tyro.conf.arg(metavar="X")] = 1.0
     """Speed: 1 is real time, 0.1 a tenth of it."""
     duration: Annotated[float | None, tyro.conf.arg(metavar="S")] = None

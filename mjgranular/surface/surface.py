@@ -105,11 +105,9 @@ def check_surface(surface: Surface, model: mujoco.MjModel) -> None:
     for distance, *corner in product((1, 10, 100), *3 * [(-1, 0, 1)]):
         point = model.stat.center + distance * model.stat.extent * np.array(corner)
         found = length(record.ctypes.data, *point)
-        if abs(found - 1.0) > _ROUNDING:
+        if abs(found - 1.0) > 1e-6:  # chosen
             raise InputError(f"{name}.probe: normals must have length 1, got {found:.6g}")
 
-
-_ROUNDING = 1e-6  # of the length of a normal; chosen
 
 PLANE_DTYPE = np.dtype([("normal", np.float64, (3,)), ("offset", np.float64)])
 

@@ -20,6 +20,7 @@ from mjgranular.errors import (
     UnknownNameError,
     UnstableError,
 )
+from mjgranular.kernel.compiler import KernelError
 from mjgranular.kernel.vector import Vector
 from mjgranular.models import Link, model_path
 
@@ -352,6 +353,7 @@ def test_every_law_says_what_it_is_and_where_from():
         (OutputError("d"), OSError),
         (RenderError("e"), RuntimeError),
         (MissingExtraError("matplotlib", "figures", "a figure"), ImportError),
+        (KernelError(KeyError("k"), "law mud"), TypeError),
     ],
 )
 class TestClasses:
