@@ -620,6 +620,7 @@ class Steep(Surface):
     ("changed", "said"),
     [
         ({}, r"^Steep.probe: normals must have length 1, got 1.41421$"),
+        ({"probe": None}, r"^Steep.probe must be compiled.* got None$"),
         ({"probe": steep_probe.py_func}, r"^Steep.probe must be compiled.* got .*steep_probe$"),
         (
             {"record": lambda self, model: (1.0,)},
