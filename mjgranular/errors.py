@@ -6,12 +6,14 @@ Every message is one sentence that says what is wrong and what would be right.
 from __future__ import annotations
 
 import difflib
+import os
 import sys
 import threading
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from types import FrameType
+from typing import Any
 
 # Messages contain strings from files, models and arguments: their length is limited.
 _LONGEST_VALUE = 80  # characters of one value; chosen, as those below
@@ -85,6 +87,10 @@ class GranularError(Exception):
         )
         super().__init__(*clean)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Not by `__init__`, whose arguments are others than the message.
+        return type(self).__new__, (type(self),), {**vars(self), "args": self.args}
+
 
 class InputError(GranularError, ValueError):
     """A value given by the user is outside what the physics or the model allows."""
@@ -111,20 +117,13 @@ class UnknownNameError(GranularError, KeyError):
     def __str__(self) -> str:  # KeyError would show the message in quotes
         return str(self.args[0])
 
-    def __reduce__(self) -> tuple[type, tuple[str, object, tuple[str, ...], str]]:
-        return type(self), (self.kind, self.name, self.known, self.hint)
-
 
 class UnknownArgumentError(GranularError, TypeError):
     """An unknown keyword argument of a `call`; the message lists the valid ones."""
 
     def __init__(self, call: str, name: str, known: Iterable[str]) -> None:
-        self.call, self.name, self.known = call, name, tuple(known)
-        rest = _known_ones(name, self.known)
+        rest = _known_ones(name, tuple(known))
         super().__init__(f"{call} has no argument {shown(name)}{rest}")
-
-    def __reduce__(self) -> tuple[type, tuple[str, str, tuple[str, ...]]]:
-        return type(self), (self.call, self.name, self.known)
 
 
 class UnstableError(GranularError, ArithmeticError):
@@ -150,7 +149,8 @@ def drawing(what: str = "MuJoCo cannot draw on this machine") -> Iterator[None]:
         raise RenderError(
             f"{what} ({type(error).__name__}: {error}); on Linux "
             "without a screen install libegl1 (apt-get install libegl1 libgl1-mesa-dri), import "
-            "mjgranular before mujoco or set MUJOCO_GL=egl, and use render_mode='rgb_array'"
+            "mjgranular before mujoco or set MUJOCO_GL=egl "
+            f"(it is {os.environ.get('MUJOCO_GL')!r}), and use render_mode='rgb_array'"
         ) from None
 
 
@@ -164,15 +164,9 @@ class MissingExtraError(GranularError, ImportError):
     """
 
     def __init__(self, package: str, extra: str, purpose: str) -> None:
-        self.package = package
-        self.extra = extra
-        self.purpose = purpose
         super().__init__(
             f"{purpose} needs {package}, which is not installed: pip install 'mjgranular[{extra}]'"
         )
-
-    def __reduce__(self) -> tuple[type, tuple[str, str, str]]:
-        return type(self), (self.package, self.extra, self.purpose)
 
 
 class GranularWarning(UserWarning):

@@ -42,6 +42,17 @@ def check_count(name: str, value: Any, least: int = 1) -> None:
         raise InputError(f"{name} must be at least {least}, not {shown(value)}")
 
 
+def check_records(method: str, value: Any, *fields: str) -> None:
+    """Check that a method returned records, with certain fields of shape (n,), else of (1,)."""
+    names = (value.dtype.names or ()) if isinstance(value, np.ndarray) else ()
+    shape = np.shape(value) if names else ()
+    is_right = shape == (1,) or (fields and len(shape) == 1 and shape[0] > 0)
+    if not (is_right and {*fields} <= {*names}):
+        rule = f"(n,) with fields {', '.join(fields)}" if fields else "(1,)"
+        got = f"{shape}, fields {', '.join(names)}" if names else kind_of(value)
+        raise InputError(f"{method} must return a structured array of shape {rule}, got {got}")
+
+
 def is_finite(value: Any) -> bool:
     """Return True if a value is a finite number."""
     return isinstance(value, (int, float, np.number)) and math.isfinite(value)

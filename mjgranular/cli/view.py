@@ -53,9 +53,9 @@ class ViewCommand(options_of(Drop, without=_NOT_OPTIONS)):
     trust: Flag = False
     """Import and so execute the module of an environment that only the run's file names."""
     draw: Annotated[
-        tuple[Literal["forces", "depth"], ...], tyro.conf.arg(metavar="{forces,depth} ...")
-    ] = ("forces",)
-    """Arrows for the forces, dots for the elements in the sand, colored by depth."""
+        tuple[Literal["forces", "depth"], ...] | None, tyro.conf.arg(metavar="{forces,depth} ...")
+    ] = None
+    """Of a model: arrows for forces, dots for elements, colored by depth. Default: forces."""
     speed: Annotated[float, tyro.conf.arg(metavar="X")] = 1.0
     """Speed: 1 is real time, 0.1 a tenth of it."""
     duration: Annotated[float | None, tyro.conf.arg(metavar="S")] = None
@@ -144,7 +144,8 @@ class ViewCommand(options_of(Drop, without=_NOT_OPTIONS)):
                 return spec.compile()
             make_ready(spec, drop)
             bare = spec.compile()
-            add_sand(spec, fitted(bare, drop.sand), draw=("surface", *self.draw))
+            draw = ("forces",) if self.draw is None else self.draw
+            add_sand(spec, fitted(bare, drop.sand), draw=("surface", *draw))
             if not self.keep_floor:
                 refuse_floors(bare, drop.sand)
             warnings.simplefilter("ignore", FloorWarning)

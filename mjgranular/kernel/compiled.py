@@ -45,6 +45,13 @@ class Kernel:
         return self._from_python(*args)
 
 
+def check_compiled(what: str, value: Any) -> None:
+    """Check that a function of a custom law or surface is a kernel."""
+    if not isinstance(value, Kernel):
+        name = getattr(value, "__qualname__", value)
+        raise InputError(f"{what} must be compiled, by mjgranular.kernel.compiled, got {name}")
+
+
 @typeof_impl.register(Kernel)
 def _type_of(kernel: Kernel, context: Any) -> Any:
     return types.Dispatcher(kernel.dispatcher)

@@ -17,6 +17,7 @@ from numba.core import cgutils
 from numba.core.errors import TypingError
 from numba.extending import intrinsic
 
+from mjgranular.errors import InputError
 from mjgranular.kernel.lanes import Lanes, spread
 from mjgranular.kernel.memory import numbers_of
 from mjgranular.kernel.vector import Matrix, Vector, VectorType
@@ -56,9 +57,16 @@ def size_of(kind: Any) -> int:
 
 def packed(records: np.ndarray, kind: Any) -> np.ndarray:
     """Return the fields of a named tuple from records, as floats, shape (n, `size_of(kind)`)."""
-    names = get_type_hints(kind)
     columns = [np.zeros((len(records), 0))]
-    columns += [records[name].reshape(len(records), -1) for name in names]
+    for name, part in get_type_hints(kind).items():
+        is_there = name in (records.dtype.names or ())
+        columns.append(records[name].reshape(len(records), -1) if is_there else columns[0])
+        count, found = size_of(part), columns[-1].shape[1]
+        if count != found:
+            raise InputError(
+                f"elements of the law must have a field {name!r} of {count} numbers, as "
+                f"{kind.__name__} has, got {found}"
+            )
     return np.concatenate(columns, axis=1)
 
 

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mjgranular.errors import InputError
-from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.compiled import check_compiled, compiled
 from mjgranular.kernel.fields import packed
 from mjgranular.kernel.lanes import aligned
 from mjgranular.kernel.motion import Motion
@@ -100,6 +100,8 @@ class LawKernel:
                 f"the first fields of {self.samples.__name__} must be depth, length and point, in "
                 f"this order, not {', '.join(first) or 'none'}"
             )
+        check_compiled("LawKernel: sample", self.sample)
+        check_compiled("LawKernel: respond", self.respond)
 
     def pack(self, elements: np.ndarray) -> np.ndarray:
         """Return the elements as a program reads them, shape (tiles, numbers of an element, lanes).

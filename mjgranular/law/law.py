@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Self, TypeVar
 import mujoco
 import numpy as np
 
-from mjgranular._util.checks import is_finite, kind_of
+from mjgranular._util.checks import check_records, is_finite, kind_of
 from mjgranular._util.parse import read_part
 from mjgranular._util.registry import Registry
 from mjgranular.errors import InputError, UnknownNameError, shown, warn_user
@@ -174,12 +174,13 @@ def constants_of(law: type[Law], medium: Medium | str, name: str | None = None) 
 def make_scene(law: Law, medium: Medium, surface: Surface, model: mujoco.MjModel) -> np.ndarray:
     """Make the record of law, medium and surface: fields `law` and `surface`, shape (1,)."""
     parameters, place = law.parameters(medium), surface.record(model)
+    check_records(f"{type(law).__name__}.parameters", parameters)
     scene = np.zeros(1, np.dtype([("law", parameters.dtype), ("surface", place.dtype)]))
     scene["law"], scene["surface"] = parameters, place
     return scene
 
 
-def get_law(law: str | Law | None, medium: Medium) -> Law:
+def get_law(law: str | Law | None, medium: Medium | str) -> Law:
     """Return the law of that name with the medium's constants, or `law` itself.
 
     None stands for the medium's default law. A name may be followed by parameters, such as "rft3d
@@ -193,7 +194,7 @@ def get_law(law: str | Law | None, medium: Medium) -> Law:
     if isinstance(law, Law):
         return law
     if law is None:
-        return laws[medium.default_law].from_medium(medium)
+        return laws[get_medium(medium).default_law].from_medium(medium)
     cls, given = law_in(law)
     if not given:
         return cls.from_medium(medium)

@@ -20,7 +20,7 @@ from typing import Any, ClassVar, NamedTuple, Self
 import mujoco
 import numpy as np
 
-from mjgranular.errors import InputError
+from mjgranular._util.checks import check_count
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.vector import Vector, cross, diagonal, dot, norm, outer
 from mjgranular.law.kernel import LawKernel
@@ -254,8 +254,7 @@ class DistributedLinkLaw(_LinkForm):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.pieces < 1:
-            raise InputError(f"DistributedLinkLaw: pieces must be at least 1, not {self.pieces}")
+        check_count("DistributedLinkLaw: pieces", self.pieces)
 
     def elements(
         self, model: mujoco.MjModel, geoms: Sequence[int], resolution: int | None = None

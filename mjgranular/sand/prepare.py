@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import mujoco
 import numpy as np
 
-from mjgranular.errors import CostWarning, GranularWarning
+from mjgranular._util.checks import check_records
+from mjgranular.errors import CostWarning, GranularWarning, InputError
 from mjgranular.kernel.compiled import program_addresses
 from mjgranular.law import Law, make_scene
 from mjgranular.law.kernel import LawKernel
@@ -26,6 +27,7 @@ from mjgranular.shape import select_geoms
 from mjgranular.surface import Surface
 from mjgranular.surface.choice import surface_of
 from mjgranular.surface.place import replace_geoms
+from mjgranular.surface.surface import check_surface
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,12 +48,14 @@ def choose_sand(model: mujoco.MjModel, spec: SandSpec) -> ChosenSand:
     Contacts of geoms that the sand replaces are switched off in the model.
     """
     surface = surface_of(spec.surface)
+    check_surface(surface, model)
     geoms = geoms_in_sand(model, spec)
     medium, law = material_of(model, spec)
     replaced = replace_geoms(model, spec.instead_of)
     case = advice.Case(model, spec, geoms, law, surface, as_memory(spec.memory))
     advice.warn(advice.CHECKS, case)
     elements = law.elements(model, geoms, spec.resolution)
+    check_records(f"{type(law).__name__}.elements", elements, "geom", "body", "slot", "width")
     advice.warn([(advice.link_law, GranularWarning)], case)
     return ChosenSand(
         medium=medium,
@@ -124,6 +128,9 @@ def prepare(model: mujoco.MjModel, spec: SandSpec, *, within: bool = False) -> P
         scene["surface"]["feet"] = footprint.feet.ctypes.data
         scene["surface"]["foot_count"] = len(footprint.feet)
     kernel = law.kernel(surface)
+    if not isinstance(kernel, LawKernel):
+        raise InputError(f"{type(law).__name__}.kernel must return a LawKernel, not {kernel!r}")
+    packed = kernel.pack(elements)
     law_name, scheme_name = f"law {law.name}", f"scheme {scheme.name}"
     parts = f"{law_name}, {scheme_name}, {type(surface).__name__}"
     sampling = scheme.sampling(kernel, scene.dtype)
@@ -136,7 +143,7 @@ def prepare(model: mujoco.MjModel, spec: SandSpec, *, within: bool = False) -> P
     return PreparedSand(
         **vars(replace(chosen, surface=surface)),
         scheme=scheme,
-        packed=kernel.pack(elements),
+        packed=packed,
         scene=scene,
         kernel=kernel,
         program=program,

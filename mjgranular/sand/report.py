@@ -139,14 +139,17 @@ class Report:
         return f"Report(t={self.time:.6g} s, {self.medium}, {self.law} law: {'; '.join(bodies)})"
 
     def __getitem__(self, body: str | int) -> BodyReport:
-        """Return the report of a body, by its name, or by its number if it has no name.
+        """Return the report of a body, by its name or number; a string is a name first.
 
         Raises:
             UnknownNameError: the sand does not act on this body; lists the bodies that it acts on.
         """
-        for report in self.bodies:
-            if report.body == str(body):
-                return report
+        names = self.names.bodies
+        found = dict(zip(map(str, names), self.bodies, strict=True))
+        if isinstance(body, str):
+            found |= {name: found[str(i)] for i, name in names.items() if name != str(i)}
+        if str(body) in found:
+            return found[str(body)]
         raise UnknownNameError("body with sand on it", str(body), [r.body for r in self.bodies])
 
 

@@ -1,7 +1,7 @@
 """Selection of the geoms of a model that meet the sand."""
 
 import operator
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from typing import Any
 
 import mujoco
@@ -98,7 +98,7 @@ def names_in(names: Choice) -> list[str | int]:
     """Return names and ids as a list; raise for anything else."""
     if names is None:
         return []
-    one = isinstance(names, (str, bytes)) or not isinstance(names, Iterable)
+    one = isinstance(names, (str, bytes)) or not isinstance(names, Collection)
     several: Any = (names,) if one else names
     for name in several:
         if isinstance(name, bool) or not isinstance(name, (str, int, np.integer)):

@@ -4,17 +4,18 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
+from itertools import product
 from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
 
-from mjgranular._util.checks import is_finite
+from mjgranular._util.checks import check_records, is_finite
 from mjgranular.errors import InputError, shown
-from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.compiled import check_compiled, compiled, entry
 from mjgranular.kernel.memory import records
-from mjgranular.kernel.vector import dot, read_matrix, read_vector, transposed, vector
+from mjgranular.kernel.vector import dot, norm, read_matrix, read_vector, transposed, vector
 from mjgranular.shape.sizes import check_extents
 from mjgranular.surface.place import find_geom, tilt_of, world_pose
 
@@ -79,6 +80,34 @@ class Surface(ABC):
     @abstractmethod
     def tilt(self, model: mujoco.MjModel) -> float:
         """Return the steepest angle of the surface from the horizontal, across gravity [rad]."""
+
+
+@cache
+def _length_kernel(probe: Any, dtype: np.dtype) -> Any:
+    place_records = records(dtype)
+
+    @compiled
+    def length(address, x, y, z):
+        depth, normal = probe(place_records(address, 1)[0], vector(x, y, z))
+        return norm(normal) if depth > 0.0 else 1.0
+
+    return length
+
+
+def check_surface(surface: Surface, model: mujoco.MjModel) -> None:
+    """Check a custom surface: kinds of its attributes, and normals near and far from a model."""
+    name, record = type(surface).__name__, surface.record(model)
+    probe = getattr(type(surface), "probe", None)
+    if type(surface).__module__ == __name__:
+        return  # has been tested; to load the kernel takes time
+    check_records(f"{name}.record", record)
+    check_compiled(f"{name}.probe", probe)
+    length = entry(_length_kernel(probe, record.dtype), "float64(int64, float64, float64, float64)")
+    for distance, *corner in product((1, 10, 100), *3 * [(-1, 0, 1)]):
+        point = model.stat.center + distance * model.stat.extent * np.array(corner)
+        found = length(record.ctypes.data, *point)
+        if abs(found - 1.0) > 1e-6:  # chosen
+            raise InputError(f"{name}.probe: normals must have length 1, got {found:.6g}")
 
 
 PLANE_DTYPE = np.dtype([("normal", np.float64, (3,)), ("offset", np.float64)])

@@ -8,6 +8,7 @@ import pytest
 
 from mjgranular import (
     Bed,
+    DistributedLinkLaw,
     HeightField,
     InputError,
     Plane,
@@ -17,6 +18,7 @@ from mjgranular import (
     UnknownNameError,
     add_sand,
 )
+from mjgranular.law import get_law
 
 XML = """
 <mujoco>
@@ -58,6 +60,8 @@ MISTAKES = {
     "number for a field": (lambda: Sand(model(), surface=HeightField(3), **SAND), "name of its"),
     "geom beyond the last": (lambda: Sand(model(), geoms=7, **SAND), "geom number 7.*0 to 1"),
     "geom before the first": (lambda: Sand(model(), geoms=[-1], **SAND), "geom number -1"),
+    "generator of geoms": (lambda: Sand(model(), geoms=(g for g in [1]), **SAND), "by a generator"),
+    "text for pieces": (lambda: DistributedLinkLaw(1, 1, 1, 1, pieces="3"), "integer, not '3'"),
     "flag for a geom": (lambda: Sand(model(), geoms=[True], **SAND), "names or numbers"),
     "float for a body": (lambda: Sand(model(), bodies=1.0, **SAND), "names or numbers"),
 }
@@ -72,6 +76,7 @@ def test_mistakes_get_a_sentence(mistake):
 
 @pytest.mark.parametrize("law", [Rft2dLaw, Rft3dLaw])
 def test_laws_are_made_from_the_name_of_a_medium(law):
+    assert get_law(None, "play_sand").name == "link"
     medium = {Rft2dLaw: "poppy_seed_loose", Rft3dLaw: "quikrete_medium"}[law]
     assert isinstance(law.from_medium(medium), law)
 
@@ -90,6 +95,19 @@ def test_a_name_that_is_a_number_is_a_name_first():
     named = XML.replace('name="ball" size', 'name="1" size')
     sand = Sand(mujoco.MjModel.from_xml_string(named), geoms=["1"], **SAND)
     assert set(sand.elements["geom"]) == {0}
+
+
+def test_a_body_of_a_report_too_goes_by_name_first():
+    bodies = "".join(
+        f'<body {name} pos="{x} 0 1"><freejoint/><geom size="0.1"/></body>'
+        for x, name in enumerate(("name='toe'", "", "name='2'"))
+    )
+    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{bodies}</worldbody></mujoco>")
+    report = Sand(model, **SAND).report(mujoco.MjData(model))
+    toe, unnamed, two = report.bodies
+    assert report["toe"] is report["1"] is report[1] is toe
+    assert report[2] is unnamed
+    assert report["2"] is report["3"] is report[np.int64(3)] is two
 
 
 def test_of_many_names_the_nearest_are_told():

@@ -1,9 +1,12 @@
 """Errors: their classes, and that each says what would be right."""
 
+import dataclasses
 import math
 import pickle
+from typing import NamedTuple
 
 import mujoco
+import numpy as np
 import pytest
 
 import mjgranular as mg
@@ -17,6 +20,8 @@ from mjgranular.errors import (
     UnknownNameError,
     UnstableError,
 )
+from mjgranular.kernel.compiler import KernelError
+from mjgranular.kernel.vector import Vector
 from mjgranular.models import Link, model_path
 
 
@@ -265,6 +270,41 @@ def test_a_law_without_a_name_cannot_be_registered():
         mg.register_law(mg.Law)
 
 
+class WrongCenter(NamedTuple):
+    center: float
+
+
+class Middle(NamedTuple):
+    middle: Vector
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"parameters": lambda self, medium: [1.0]}, r"^Odd.parameters .* \(1,\), got a list$"),
+        ({"parameters": lambda self, medium: np.zeros(2)}, r"^Odd.parameters .*, got a ndarray$"),
+        (
+            {"elements": lambda self, *_: None},
+            r"^Odd.elements .* geom, body, slot, width, got None",
+        ),
+        ({"elements": lambda self, *_: np.zeros(2, [("geom", int)])}, r"got \(2,\), fields geom$"),
+        ({"kernel": lambda self, surface: None}, r"^Odd.kernel must return a LawKernel, not None"),
+        ({"respond": len}, r"^LawKernel: respond must be compiled.*, got len$"),
+        ({"element": WrongCenter}, "a field 'center' of 1 numbers, as WrongCenter has, got 3"),
+        ({"element": Middle}, "a field 'middle' of 3 numbers, as Middle has, got 0"),
+    ],
+)
+def test_a_custom_law_is_checked(changed, said):
+    def kernel(self, surface):
+        good = mg.DepthVelocityLaw.kernel(self, surface)
+        return dataclasses.replace(good, **changed)
+
+    methods = {name: changed[name] for name in changed if hasattr(mg.Law, name)}
+    odd = type("Odd", (mg.DepthVelocityLaw,), methods or {"kernel": kernel})(1.0, 200.0)
+    with pytest.raises(InputError, match=said):
+        sand_on(world(BALL), law=odd)
+
+
 def test_of_names_that_resemble_none_it_is_said_how_to_add_one():
     with pytest.raises(UnknownNameError, match=r"\(import its module, or name a .yaml file\)$"):
         mg.media["beach"]
@@ -313,6 +353,7 @@ def test_every_law_says_what_it_is_and_where_from():
         (OutputError("d"), OSError),
         (RenderError("e"), RuntimeError),
         (MissingExtraError("matplotlib", "figures", "a figure"), ImportError),
+        (KernelError(KeyError("k"), "law mud"), TypeError),
     ],
 )
 class TestClasses:

@@ -275,7 +275,8 @@ from mjgranular.surface import Surface
 
 @compiled
 def probe(record, point):
-    return record.normal[np.int64(3 + 0 * point.x)] - point.z, vector(0.0, 0.0, 1.0)
+    index = 3 if 0.15 < -point.z < 0.25 else 0  # not where normals are checked
+    return record.normal[np.int64(index + 0 * point.x)] - point.z, vector(0.0, 0.0, 1.0)
 
 @dataclass(frozen=True)
 class Faulty(Surface):
@@ -289,8 +290,8 @@ class Faulty(Surface):
 
 surfaces.add("faulty", Faulty)
 spec = mujoco.MjSpec.from_string(
-    "<mujoco><worldbody><body><freejoint/><geom type='capsule' size='.1 .1'/></body></worldbody>"
-    "</mujoco>"
+    "<mujoco><statistic extent='1'/><worldbody><body><freejoint/>"
+    "<geom type='capsule' size='.1 .1'/></body></worldbody></mujoco>"
 )
 add_sand(spec, surface=Faulty(), law="depth_velocity linear=1", scheme="explicit")
 model = spec.compile()

@@ -23,11 +23,13 @@ from mjgranular import (
     Rft2dLaw,
     Rft3dLaw,
     Sand,
+    Surface,
     UnknownNameError,
     UnstableError,
     media,
 )
-from mjgranular.kernel.vector import read_vector
+from mjgranular.kernel import compiled
+from mjgranular.kernel.vector import read_vector, vector
 
 pytestmark = pytest.mark.filterwarnings("ignore::mjgranular.errors.FloorWarning")
 
@@ -595,3 +597,38 @@ def test_surfaces_are_frozen(surface):
     with pytest.raises(dataclasses.FrozenInstanceError):
         surface.height = surface.geom = "other"
     assert surface == dataclasses.replace(surface)
+
+
+@compiled
+def steep_probe(steep, point):
+    """Of z = x, whose normal would be a unit vector if both were divided by sqrt(2)."""
+    return point.x - point.z, vector(-1.0, 0.0, 1.0)
+
+
+@dataclasses.dataclass(frozen=True)
+class Steep(Surface):
+    probe = steep_probe
+
+    def record(self, model):
+        return np.zeros(1, [("nothing", float)])
+
+    def tilt(self, model):
+        return math.pi / 4
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({}, r"^Steep.probe: normals must have length 1, got 1.41421$"),
+        ({"probe": None}, r"^Steep.probe must be compiled.* got None$"),
+        ({"probe": steep_probe.py_func}, r"^Steep.probe must be compiled.* got .*steep_probe$"),
+        (
+            {"record": lambda self, model: (1.0,)},
+            r"^Steep.record must .* shape \(1,\), got a tuple",
+        ),
+    ],
+)
+def test_a_custom_surface_is_checked(changed, said):
+    surface = type("Steep", (Steep,), changed)()
+    with pytest.raises(InputError, match=said):
+        Sand(scene(""), law=LAWS["rft3d"], surface=surface)

@@ -259,6 +259,7 @@ def test_an_agent_in_an_environment_of_gymnasium_is_shown(clock: Clock) -> None:
     ("arguments", "said"),
     [
         (["Hexapod-v0/ppo-0", "--medium", "glass_beads"], "--medium is for models: use --on"),
+        (["Hexapod-v0/ppo-0", "--draw", "forces"], "--draw is for models"),
         (["block.xml", "--on", "strength=2"], "--on is for policies"),
         (["Hexapod-v0/ppo-00"], "did you mean Hexapod-v0/ppo-0"),
         (["Hexapod-v0/ppo-0", "--on", "medum=1"], "no option 'medum'"),
