@@ -161,9 +161,11 @@ def hidden_skin(
             joints = _joints_between(model, geom, other)
             if other == geom or joints is None or apart > sum(model.geom_rbound[[geom, other]]):
                 continue
-            is_same = is_mesh and model.geom_dataid[other] == model.geom_dataid[geom]
-            if is_same and other < geom and not joints and np.allclose(poses[other], poses[geom]):
-                return ~hidden
+            is_same = is_mesh and model.geom_type[other] == _GEOM.mjGEOM_MESH and not joints
+            if is_same and other < geom and np.allclose(poses[other], poses[geom]):
+                arrays = (mesh_arrays(model, g) for g in (geom, other))
+                if all(map(np.array_equal, *arrays)):
+                    return ~hidden
             near = np.ones(len(points), bool)
             for joint in joints:
                 away = np.linalg.norm(points - data.xanchor[joint], axis=1)

@@ -437,7 +437,7 @@ def test_same_geom_twice_counts_once(name):
 
 
 @pytest.mark.parametrize(
-    "kinds", [("mesh", "mesh"), ("mesh", "box"), ("box", "mesh")]
+    "kinds", [("mesh", "mesh"), ("mesh", "twin"), ("mesh", "box"), ("box", "mesh")]
 )
 def test_mesh_at_the_place_of_another_geom_counts_once(kinds):
     spec = mujoco.MjSpec()
