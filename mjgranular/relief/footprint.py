@@ -11,7 +11,7 @@ import numpy as np
 
 from mjgranular.kernel.lanes import aligned
 from mjgranular.relief.memory import WINDOW, Memory
-from mjgranular.shape.patches import mesh_corners
+from mjgranular.shape.shells import mesh_faces
 from mjgranular.shape.sizes import check_count, geom_axes, geom_width, half_extents
 
 POINT_DTYPE = np.dtype(
@@ -206,7 +206,8 @@ def _middles(length: float, cell: float) -> np.ndarray:
 def _on_mesh(model: mujoco.MjModel, geom: int, cell: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the centers of the triangles of a mesh, divided until none is longer than a cell."""
     places, normals = [], []
-    corners = mesh_corners(model, geom, warn=False)  # those of the force, which warn
+    vertices, faces, _ = mesh_faces(model, geom, warn=False)  # those of the force, which warn
+    corners = vertices[faces]
     areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     for corner, area in zip(corners, areas, strict=True):
         if area.any():

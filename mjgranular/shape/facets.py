@@ -1,5 +1,6 @@
 """Surfaces of bodies: the facets of their geoms, for laws that act on surface elements."""
 
+import copy
 from collections.abc import Sequence
 from typing import Literal
 
@@ -7,8 +8,8 @@ import mujoco
 import numpy as np
 
 from mjgranular.shape import patches, sizes, tessellation
-from mjgranular.shape.patches import mesh_corners
 from mjgranular.shape.rigid import exposures, in_own_frames, join_faces
+from mjgranular.shape.shells import mesh_arrays, mesh_faces, within_others
 from mjgranular.shape.tessellation import Cells
 
 FACET_DTYPE = np.dtype(
@@ -63,7 +64,7 @@ def facets_from_model(
             three times the number along a box's longest edge; a mesh has at most twice its square.
             None for 12, and less for small geoms if there are many (`resolutions`).
         hidden: whether to drop surfaces that no grain can touch, since they are inside another of
-            the geoms (`hidden_skin`), or to keep all.
+            the geoms (`hidden_skin`) or shells of a mesh (`within_others`), or to keep all.
         sheltered: whether to drop the share of a facet's area that other parts of the same rigid
             body shelter (`shape.rigid.exposures`), or to keep all.
         meshes: facets of a mesh: patches, or its own triangles, for comparisons.
@@ -76,6 +77,7 @@ def facets_from_model(
         rings = sizes.resolutions(model, ordered)
     else:
         rings = [sizes.check_resolution(resolution, 2, FINEST)] * len(ordered)
+    model = copy.copy(model)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     parts = []
@@ -83,12 +85,16 @@ def facets_from_model(
     # One surface at a time: the cells of all would fill the memory.
     for geom, fine in zip(ordered, rings, strict=True):
         if int(model.geom_type[geom]) == _GEOM.mjGEOM_MESH:
-            corners = mesh_corners(model, geom)
+            vertices, faces, shells = mesh_faces(model, geom)
+            mesh_arrays(model, geom)[1][:] = faces  # rays meet them as turned
+            corners, own = vertices[faces], shells
             if meshes == "patches":
-                corners = patches.pieces(corners, fine)
+                corners, parents = patches.pieces(corners, fine)
+                own = shells[parents]
             if hidden == "drop":
                 skin = tessellation.triangles(corners)
-                corners = corners[~hidden_skin(model, data, geom, skin, ordered)]
+                inside = within_others(corners, own, vertices[faces], shells)
+                corners = corners[~(inside | hidden_skin(model, data, geom, skin, ordered))]
             facets = (
                 patches.gathered(corners, fine) if meshes == "patches" else patches.single(corners)
             )
@@ -156,9 +162,11 @@ def hidden_skin(
             joints = _joints_between(model, geom, other)
             if other == geom or joints is None or apart > sum(model.geom_rbound[[geom, other]]):
                 continue
-            is_same = is_mesh and model.geom_dataid[other] == model.geom_dataid[geom]
-            if is_same and other < geom and not joints and np.allclose(poses[other], poses[geom]):
-                return ~hidden
+            is_same = is_mesh and model.geom_type[other] == _GEOM.mjGEOM_MESH and not joints
+            if is_same and other < geom and np.allclose(poses[other], poses[geom]):
+                arrays = (mesh_arrays(model, g) for g in (geom, other))
+                if all(map(np.array_equal, *arrays)):
+                    return ~hidden
             near = np.ones(len(points), bool)
             for joint in joints:
                 away = np.linalg.norm(points - data.xanchor[joint], axis=1)

@@ -13,11 +13,9 @@ variation of their normals over it.
 
 import math
 
-import mujoco
 import numpy as np
 
-from mjgranular.errors import InputError, warn_user
-from mjgranular.shape.sizes import check_size, geom_name, rod_length
+from mjgranular.shape.sizes import rod_length
 from mjgranular.shape.tessellation import Facets
 
 # Chosen by measurement (docs/shapes.md): changing one of them by a factor of two has little effect.
@@ -33,32 +31,29 @@ _FLAT = 1e-6  # patches narrower than this share of their mesh have zero width; 
 _PARALLEL, _COPLANAR = 0.985, 0.05
 _CURVED = math.sqrt(1 - _PARALLEL**2)  # such a fraction of a cylinder's projection is no flat face
 _ENOUGH = 2000  # maximum number of facets in the comparison; chosen
-_NEARLY_CLOSED = 0.1  # sum of area vectors over that of areas, at most; chosen
 _CANCELLED = 1e-6  # relative size of the summed area vectors below which a patch has no direction
 
 
-def pieces(corners: np.ndarray, resolution: int) -> np.ndarray:
+def pieces(corners: np.ndarray, resolution: int) -> tuple[np.ndarray, np.ndarray]:
     """Divide triangles until no edge is longer than patches are wide; area vectors stay.
 
     Corners of triangles are of shape (n, 3, 3) [m], before and after; the resolution is as of
-    `facets_from_model`.
+    `facets_from_model`. Returns as well the row of the triangle that each is a piece of.
     """
-    corners, _, _ = _with_area(corners)
-    if not len(corners):
-        return corners
     reach = np.ptp(corners.reshape(-1, 3), axis=0).max()
     longest = _PIECE / resolution * max(_size(corners), _THORN * reach)
-    done = []
+    done, parents = [], np.arange(len(corners))
     while len(corners):
         edges = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
         large = edges.max(axis=1) > longest
-        done.append(corners[~large])
+        done.append((corners[~large], parents[~large]))
         row, first = np.arange(large.sum()), edges[large].argmax(axis=1)
         a, b, c = (corners[large][row, (first + k) % 3] for k in range(3))
         middle = (a + b) / 2
         halves = [np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)]
-        corners = np.concatenate(halves)
-    return np.concatenate(done)
+        corners, parents = np.concatenate(halves), np.tile(parents[large], 2)
+    corners, parents = map(np.concatenate, zip(*done, strict=True))
+    return corners, parents
 
 
 def gathered(corners: np.ndarray, resolution: int) -> Facets:
@@ -180,51 +175,3 @@ def _size(corners: np.ndarray) -> float:
     corners, _, areas = _with_area(corners)
     points = corners.mean(axis=1)
     return rod_length(points, areas, corners - points[:, None], 12)
-
-
-def mesh_corners(model: mujoco.MjModel, geom: int, *, warn: bool = True) -> np.ndarray:
-    """Return corners of the triangles of a geom's mesh [m], in the geom's frame, shape (n, 3, 3).
-
-    They are counter-clockwise seen from outside: a mesh that is inside out is flipped, if it is
-    nearly closed, with a warning. So is there one of a mesh that is not watertight.
-    """
-    mesh = int(model.geom_dataid[geom])
-    if mesh < 0 or model.mesh_facenum[mesh] == 0:
-        raise InputError(f"the mesh of geom {geom_name(model, geom)} has no faces")
-    check_size(model, geom, flat=True)
-    first = int(model.mesh_vertadr[mesh])
-    vertices = model.mesh_vert[first : first + int(model.mesh_vertnum[mesh])].astype(float)
-    start = int(model.mesh_faceadr[mesh])
-    faces = model.mesh_face[start : start + int(model.mesh_facenum[mesh])]
-    if warn and (gaps := open_edges(vertices, faces)):
-        warn_user(
-            f"the mesh of geom {geom_name(model, geom)} is not watertight, it has {gaps} open "
-            "edges, or edges of faces turned opposite ways: each face acts on its outer side"
-        )
-    corners = vertices[faces]
-    vectors = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    if not vectors.any():
-        raise InputError(f"the mesh of geom {geom_name(model, geom)} has no face with an area")
-    rest = np.linalg.norm(vectors.sum(axis=0)) / np.linalg.norm(vectors, axis=1).sum()
-    middles = corners.mean(axis=1)
-    if rest < _NEARLY_CLOSED and ((middles - middles.mean(axis=0)) * vectors).sum() < 0:
-        if warn:
-            name = geom_name(model, geom)
-            warn_user(f"the mesh of geom {name} is inside out: its faces are turned round")
-        return corners[:, ::-1]
-    return corners
-
-
-def open_edges(vertices: np.ndarray, faces: np.ndarray) -> int:
-    """Count the edges of a triangle mesh along which not as many faces run one way as the other.
-
-    Vertices at the same position, to rounding, count as one: MuJoCo splits vertices where normals
-    or textures differ.
-    """
-    places = np.round(vertices / (_FLAT * np.ptp(vertices, axis=0).max()))
-    _, merged = np.unique(places, axis=0, return_inverse=True)
-    corners = merged.reshape(-1)[faces]
-    edges = corners[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-    ways = np.sign(edges[:, 1] - edges[:, 0])
-    _, edge = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True)
-    return int(np.count_nonzero(np.bincount(edge.reshape(-1), ways)))

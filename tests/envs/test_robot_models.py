@@ -10,7 +10,7 @@ import pytest
 from mjgranular import InputError, Sand
 from mjgranular.models import Hexapod, LiRobot, Worm
 from mjgranular.models.hexapod import LEGS
-from mjgranular.shape.patches import mesh_corners
+from mjgranular.shape.shells import mesh_faces
 
 
 def posed(spec, qpos):
@@ -140,7 +140,8 @@ def test_a_hexapod_stands_and_its_legs_go_where_they_say():
 def test_a_leg_of_the_robot_of_li_is_an_arc(curvature):
     robot = LiRobot(curvature)
     model = robot.model()
-    corners = mesh_corners(model, model.geom("front_left").id)  # which warns of no open edge
+    vertices, faces, _ = mesh_faces(model, model.geom("front_left").id)  # warns of no open edge
+    corners = vertices[faces]
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     geom = data.geom("front_left")

@@ -436,15 +436,18 @@ def test_same_geom_twice_counts_once(name):
     assert len(facets_from_model(model, [0, 1], hidden="keep")) == 2 * len(once)
 
 
-@pytest.mark.parametrize("kinds", [("mesh", "mesh"), ("mesh", "box"), ("box", "mesh")])
+@pytest.mark.parametrize(
+    "kinds", [("mesh", "mesh"), ("mesh", "twin"), ("mesh", "box"), ("box", "mesh")]
+)
 def test_mesh_at_the_place_of_another_geom_counts_once(kinds):
     spec = mujoco.MjSpec()
-    spec.add_mesh(name="mesh", uservert=(0.02 * CORNERS).ravel(), userface=SIDES.ravel())
+    for name in ("mesh", "twin"):
+        spec.add_mesh(name=name, uservert=(0.02 * CORNERS).ravel(), userface=SIDES.ravel())
     holder = spec.worldbody.add_body(name="body")
     holder.add_freejoint()
     for kind in kinds:
-        if kind == "mesh":
-            holder.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="mesh")
+        if kind != "box":
+            holder.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=kind)
         else:
             holder.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.02, 0.02, 0.02])
     found = facets_from_model(spec.compile(), [0, 1])
@@ -979,6 +982,54 @@ def test_mesh_that_is_inside_out_is_turned(missing):
         found = mesh_facets(mesh_model(vertices, faces))
     assert "inside out" in str(caught[-1].message)
     assert volume(found) > 0.0
+
+
+def boxes_mesh(*boxes):
+    """One mesh of boxes: half sizes [m], center [m], and 1, or -1 for one that is inside out."""
+    vertices = np.concatenate([CORNERS * half + np.array(at) for half, at, _ in boxes])
+    faces = [8 * k + SIDES[:, ::side] for k, (_, _, side) in enumerate(boxes)]
+    return mesh_model(vertices, np.concatenate(faces))
+
+
+FOOT = ((0.03, 0.03, 0.03), (0, 0, 0), 1)
+
+
+@pytest.mark.parametrize("sides", [(1, -1), (-1, 1), (-1, -1)])
+@pytest.mark.parametrize("place", [(0.1, 0, 0), (0.03, 0.01, 0.01)])
+def test_shells_of_a_mesh_are_turned_each_by_itself(sides, place):
+    right = boxes_mesh(FOOT, ((0.02, 0.02, 0.02), place, 1))
+    model = boxes_mesh((*FOOT[:2], sides[0]), ((0.02, 0.02, 0.02), place, sides[1]))
+    which = "the mesh" if sides == (-1, -1) else "a shell of the mesh"
+    with pytest.warns(GranularWarning, match=f"^{which} of geom 'mesh' is inside out"):
+        found = facets_from_model(model, [0])
+    expected = facets_from_model(right, [0])
+    assert found["area"].sum() == pytest.approx(expected["area"].sum(), rel=1e-3)
+    assert volume(found) == pytest.approx(volume(expected), rel=1e-3)
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_shell_within_another_is_not_resisted(side):
+    # A cavity is rightly inside out: no warning.
+    model = boxes_mesh(FOOT, ((0.01, 0.01, 0.01), (0, 0.01, 0), side))
+    found = facets_from_model(model, [0], sheltered="keep")
+    assert found["area"].sum() == pytest.approx(6 * 0.06**2, rel=1e-5)
+
+
+def test_shells_that_overlap_count_once():
+    # Their floors are at one height.
+    model = boxes_mesh(FOOT, ((0.03, 0.02, 0.02), (0.02, 0, -0.01), 1))
+    found = facets_from_model(model, [0], 60, sheltered="keep")
+    assert volume(found) == pytest.approx(0.06**3 + 0.02 * 0.04**2, rel=0.02)
+    floor = found[found["normal"][:, 2] < -0.99]
+    assert floor["area"].sum() == pytest.approx(0.06**2 + 0.02 * 0.04, rel=0.02)
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_shells_that_touch_are_one(order):
+    model = boxes_mesh(*(FOOT, ((0.02, 0.02, 0.01), (0, 0, -0.04), 1))[::order])
+    found = facets_from_model(model, [0], 60, sheltered="keep")
+    expected = 6 * 0.06**2 + 4 * 0.04 * 0.02
+    assert found["area"].sum() == pytest.approx(expected, rel=0.01)
 
 
 # Bad input
