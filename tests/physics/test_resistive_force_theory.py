@@ -1041,3 +1041,41 @@ def test_force_is_continuous_in_depth(law):
             for z in np.linspace(0.06, -0.06, 2001)
         ]
         assert np.abs(np.diff(forces)).max() < 0.005 * max(forces)
+
+
+MEASURED = Path(__file__).parents[1] / "data" / "li2013_stresses.csv"
+PLATES = {
+    "poppy_LP": "poppy_seed_loose",
+    "poppy_CP": "poppy_seed_close",
+    "glass0.3_LP": "glass_beads_loose",
+    "glass0.3_CP": "glass_beads_close",
+    "glass3_CP": "glass_beads_3mm_close",
+}
+
+
+def test_tilted_plates_meet_the_stresses_that_were_measured():
+    # Li, Zhang and Goldman, Science 339, 1408 (2013), table S5: stresses over that of a level plate
+    # that is pushed down, of plates that lead.
+    rows = np.genfromtxt(MEASURED, delimiter=",", names=True, dtype=None, encoding="utf-8")
+    errors = {DynamicRft3dLaw: [], Rft3dLaw: []}
+    for name, medium in PLATES.items():
+        mine = rows[rows["medium"] == name]
+        is_level = np.isclose(mine["beta_rad"], 0.0) & np.isclose(
+            mine["gamma_rad"], math.pi / 2, atol=1e-3
+        )
+        (unit,) = mine["alpha_z_N_cm3"][is_level]
+        made = DynamicRft3dLaw.from_medium(medium)
+        for cls, found in errors.items():
+            law = cls(**{f.name: getattr(made, f.name) for f in dataclasses.fields(cls)})
+            # Of stress that grows with depth: without the cone, which does not.
+            law = dataclasses.replace(law, lateral=law.lateral / (1 + law.cone))
+            level = stress(law, -UP, -UP)[2]
+            for _, tilt, attack, up, back in mine.tolist():
+                n = np.array([math.sin(tilt), 0.0, -math.cos(tilt)])
+                v = np.array([math.cos(attack), 0.0, -math.sin(attack)])
+                if attack >= 0 and n @ v > 0.05:
+                    x, _, z = stress(law, n, v) / level
+                    found += [z - up / unit, x + back / unit]
+    with_tilt, without = (float(np.sqrt(2 * np.mean(np.square(e)))) for e in errors.values())
+    assert with_tilt == pytest.approx(0.145, abs=0.003)
+    assert without == pytest.approx(0.18, abs=0.005)
