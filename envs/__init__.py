@@ -5,8 +5,7 @@ Importing this registers the ids, as does `mjgranular` after `gymnasium`;
 
 `ground` puts sand under a model; `robots` does so for Gymnasium's environments. A `Task` defines an
 environment, for any number of simulations at once; `SandEnv` runs one of them, `SandVectorEnv` many
-in threads, and `WarpVectorEnv` many in MuJoCo Warp. `ranges` define sand that is sampled at each
-reset.
+in threads, and `WarpVectorEnv` many in MuJoCo Warp. `ranges` define sand sampled at each reset.
 """
 
 # First: the error with the install line if Gymnasium is missing.

@@ -18,20 +18,12 @@ _WAVES = ((1.0, 0.0, 0.0), (0.45, 0.8, 1.1), (0.3, -1.3, 2.3))
 class Dunes:
     """Three sine waves, the longest of them across the x axis; always the same.
 
-    They are as high as their steepest slope allows; the laws are valid to ten degrees
-    (`docs/laws`).
+    They are as high as their steepest slope allows; laws are valid to ten degrees (`docs/laws`).
     """
 
     wavelength: float = 4.0  # wavelength of the longest [m]
     extent: float = 40.0  # half size of the dunes along x and y [m]
     steepest: float = math.radians(9)  # steepest slope [rad]; chosen
-
-    @property
-    def _amplitude(self) -> float:
-        """The amplitude of a wave of share 1 [m]; slopes add up to `steepest` at most."""
-        k = 2 * math.pi / self.wavelength
-        slopes = sum(share * k * math.hypot(1.0, across) for share, across, _ in _WAVES)
-        return math.tan(self.steepest) / slopes
 
     def height(self, x: float, y: float) -> float:
         """Return the height over the level ground at a point [m]."""
@@ -39,8 +31,9 @@ class Dunes:
 
     def _wave(self, sin: Any, x: Any, y: Any) -> Any:
         k = 2 * math.pi / self.wavelength
+        slopes = sum(share * k * math.hypot(1.0, across) for share, across, _ in _WAVES)
         waves = (share * sin(k * (x + across * y) + phase) for share, across, phase in _WAVES)
-        return self._amplitude * sum(waves)
+        return math.tan(self.steepest) / slopes * sum(waves)  # no slope exceeds `steepest`
 
     def heights(self) -> np.ndarray:
         """Return heights on the height field's grid [m], shape (rows over y, columns over x)."""

@@ -43,9 +43,8 @@ class Figures:
         """Return the sand's metrics of n simulations.
 
         They are those of the last substep. The Froude number is |v| / sqrt(g w) with the largest
-        speed in the sand and the smallest width of a geom that meets it: an upper bound. The law is
-        valid depending on it, on depth over that width and on the slope; the grains' inertia is not
-        checked.
+        speed in the sand and the smallest width of a geom that meets it: an upper bound. Whether
+        the law is valid follows from it, depth over that width and slope, not the grains' inertia.
 
         Of `sensordata` of shape (n, nsensordata), the index of the active sand, and the slope of
         the ground in addition to that of its surface [rad], each of shape (n,), return the entries

@@ -52,8 +52,7 @@ def put_on_sand(
         spec: the model to be; it is changed.
         sands: one or several, with the instances `sand`, `sand_2`, ...; without a surface a sand is
             the level plane where the floor was.
-        rigid: the x up to which the floor stays [m], with level sand from there; None for sand
-            everywhere.
+        rigid: the x up to which the floor stays [m], level sand beyond; None for sand everywhere.
         sensors: whether to add sensors of the sand to the model (`envs.figures`).
         tunable: whether instances can be tuned at run time.
         cut: depth at which a plane of sand without memory is rendered, to show what is buried [m].

@@ -448,16 +448,12 @@ class Humanoid(_Spatial):
     include_cvel_in_observation: bool = True
     include_qfrc_actuator_in_observation: bool = True
 
-    @cached_property
-    def _mass(self) -> tuple[np.ndarray, float]:
-        return self.model.body_mass, self.model.body_mass.sum()
-
     def healthy(self, state: State) -> np.ndarray:
         low, high = self.healthy_z_range
         return (low < state.qpos[:, 2]) & (state.qpos[:, 2] < high)
 
     def where(self, state: State) -> np.ndarray:
-        masses, whole = self._mass
+        masses, whole = self.model.body_mass, self.model.body_mass.sum()
         # One by one: a product of all at once is rounded differently from Gymnasium's.
         centres = [np.einsum("b,bj->j", masses, places) / whole for places in state.xipos]
         return np.stack(centres)[:, :2]

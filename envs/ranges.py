@@ -42,8 +42,7 @@ class SandRanges:
         slope: slope of the ground, uphill toward +x [rad], (low, high). Gravity is tilted, not the
             sand: heights and depths are along the surface's normal.
         media: names of media, or paths of YAML files; empty for the environment's default.
-        laws: names of laws, with parameters if any; empty for the environment's default, or that of
-            each medium.
+        laws: names of laws, with parameters if any; empty for the default, or that of each medium.
         surfaces: names from `SURFACES`; empty for the environment's default.
 
     Raises:
@@ -133,8 +132,7 @@ class SandRanges:
     ) -> "Sample":
         """Sample a sand; every call draws the same number of values.
 
-        `choices` are the sands that the model has; robots start on dunes at x within plus or minus
-        `span` [m].
+        `choices` are the sands of the model; on dunes robots start at x from -`span` to `span` [m].
         """
         fitting = [
             number

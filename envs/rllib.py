@@ -12,18 +12,12 @@ from mjgranular.envs.known import find_spec
 
 
 def register_env(env_id: str) -> str:
-    """Register an environment with RLlib under its Gymnasium id.
+    """Register an environment with RLlib under its Gymnasium id; return it, for its `config`.
 
     RLlib needs this to make environments itself: the ids of this package are not registered in its
     workers. Use `env_runners(gym_env_vectorize_mode="vector_entry_point")` to step the
     `num_envs_per_env_runner` environments of a worker as one batch. `env_config` has the arguments
-    of the environment.
-
-    Args:
-        env_id: Gymnasium id such as `mjgranular/ChainSwim-v0`, or `my_module:My-v0`.
-
-    Returns:
-        The id, for `config.environment`.
+    of the environment. The id may name a module, `my_module:My-v0`.
 
     Raises:
         UnknownNameError: no such environment.

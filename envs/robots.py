@@ -54,8 +54,7 @@ def on_sand(
             class, from Gymnasium or custom (`my_module:My-v0` imports the module).
         sand: the sand; without a surface it is the level plane where the floor was. It always
             replaces the floor; `instead_of` names other geoms. The default is Quikrete medium sand,
-            with a coarse, fast resolution; with a law's name alone, the medium follows from the
-            law.
+            with a coarse, fast resolution; with only a law's name, the medium follows from it.
         randomise: ranges of the sand of each episode; None for a fixed sand. Dunes are only for
             mjgranular's environments: Gymnasium's robots start at a fixed height.
         curriculum: returns the ranges for the next episode, given the number of episodes begun.

@@ -25,8 +25,7 @@ class SandVecEnv(VecEnv):
     True if the episode was only truncated.
 
     The batch must be made with `autoreset_mode="SameStep"`. `full_info` returns the complete `info`
-    of every simulation at each step; otherwise, which is faster, only of those whose episodes are
-    over.
+    of every simulation at each step; otherwise, which is faster, only where an episode is over.
     """
 
     def __init__(self, batch: SandVectorEnv, *, full_info: bool = False) -> None:

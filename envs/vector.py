@@ -262,8 +262,7 @@ class WarpVectorEnv(SandVectorEnv):
     episode, with `info["sand/lost"]`; the others continue.
 
     `device` is Warp's: "cuda:0", "cpu"; None for a GPU if there is one. Other arguments are as for
-    `SandVectorEnv`; sand that is not supported in MuJoCo Warp, such as a medium per world, is an
-    `InputError`.
+    `SandVectorEnv`; sand that Warp does not support, as a medium per world, is an `InputError`.
     """
 
     def __init__(
@@ -273,13 +272,10 @@ class WarpVectorEnv(SandVectorEnv):
         super().__init__(task, num_envs, **kwargs)
         self._settings["device"] = device
 
-    def step(
-        self, actions: Any
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Advance every simulation by `frame_skip` substeps, or begin its next episode."""
-        observation, reward, terminated, truncated, info = super().step(actions)
+    def step(self, actions: Any) -> Any:
+        *found, info = super().step(actions)
         info["sand/lost"] = self.batch.lost.copy()
-        return observation, reward, terminated, truncated, info
+        return *found, info
 
     def _make_batch(self, threads: int) -> Any:
         from mjgranular.envs.worlds import Worlds  # imports MuJoCo Warp only when needed
@@ -293,8 +289,7 @@ class WarpVectorEnv(SandVectorEnv):
 def _add(info: dict[str, Any], values: dict[str, np.ndarray], mask: np.ndarray) -> None:
     """Add entries of the simulations in the mask, each with the mask, as Gymnasium does.
 
-    Others have zeros, or None for entries that are not numbers. Entries that no simulation has are
-    omitted.
+    Others have zeros, or None for what is not a number. Entries that no simulation has are omitted.
     """
     if not mask.any():
         return

@@ -97,13 +97,9 @@ class InputError(GranularError, ValueError):
 
 
 class UnknownNameError(GranularError, KeyError):
-    """A name that does not exist; the message lists those that do.
+    """A name that does not exist; the message lists those that do, `known`, and adds a hint.
 
-    Args:
-        kind: kind of the named thing ("medium", "law", "camera", ...).
-        name: the given name.
-        known: the valid names.
-        hint: an alternative, if any.
+    `kind` says what is named: "medium", "law", "camera", ...
     """
 
     def __init__(self, kind: str, name: object, known: Iterable[str], hint: str = "") -> None:
@@ -155,13 +151,7 @@ def drawing(what: str = "MuJoCo cannot draw on this machine") -> Iterator[None]:
 
 
 class MissingExtraError(GranularError, ImportError):
-    """An optional dependency is not installed.
-
-    Args:
-        package: the package that could not be imported.
-        extra: the extra of mjgranular that installs it.
-        purpose: what it was needed for.
-    """
+    """A package that an extra of mjgranular installs is not there; `purpose` needed it."""
 
     def __init__(self, package: str, extra: str, purpose: str) -> None:
         super().__init__(

@@ -84,8 +84,7 @@ class Projectile(Link):
         if self.shape == "cylinder":
             across = m * (3 * x * x + 4 * z * z) / 12
             return across, across, m * x * x / 2
-        # A capsule: a cylinder of half height h, and two hemispheres with their centers at its
-        # ends.
+        # A capsule: a cylinder of half height h, and hemispheres with their centers at its ends.
         h = z - x
         tube, ends = self.density * 2 * math.pi * x * x * h, self.density * 4 / 3 * math.pi * x**3
         across = tube * (3 * x * x + 4 * h * h) / 12

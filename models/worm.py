@@ -97,11 +97,6 @@ class Worm:
         return qpos
 
     @property
-    def _link_mass(self) -> float:
-        thin = self.step / 2  # a link is slender: a thin one, of the mass of a wide cylinder
-        return Link(self.step, thin, self.density * (self.width / thin) ** 2).mass
-
-    @property
     def _axis(self) -> np.ndarray:
         """Axis of the joints, in a link's frame, whose z points to the head."""
         return np.array([0.0, 1.0 if self.posture == "level" else -1.0, 0.0])
@@ -136,7 +131,8 @@ class Worm:
 
     def _fill(self, body: mujoco.MjsBody, index: int) -> None:
         """Add mass and geom."""
-        mass = self._link_mass
+        thin = self.step / 2  # a link is slender: a thin one, of the mass of a wide cylinder
+        mass = Link(self.step, thin, self.density * (self.width / thin) ** 2).mass
         across = mass * (3 * (self.width / 2) ** 2 + self.step**2) / 12
         body.explicitinertial = True
         body.ipos = [0, 0, 0]  # unset, it would be taken from the body's position

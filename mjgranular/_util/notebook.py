@@ -11,8 +11,7 @@ def show(film: Any, *, fps: int = 30, seconds: float = 5.0, camera: str | None =
         film: pictures, shape (height, width, 3), uint8, one by one or as an array; or the result of
             `mjgranular.experiment.run_drop` or `run_impact`, which is filmed.
         fps: frames per second.
-        seconds: least duration of the film of a result [s]; longer runs of a model are filmed in
-            real time.
+        seconds: least duration of the film of a result [s]; longer runs are filmed in real time.
         camera: camera of the model, for the film of a result; None for one that shows everything.
 
     Raises:

@@ -36,8 +36,7 @@ class ResultFolder:
         """Check that the result can be written, and lock the folder; clean up if there is none.
 
         Files of these names may be replaced with `overwrite`, or if `goes_on`, called once the
-        folder is locked, says that its content is a part of this very result; a training run never
-        is.
+        folder is locked, says that it holds a part of this very result; a training run never is.
         """
         made = [path for path in (self.path, *self.path.parents) if not path.exists()]
         # A single file, such as a film, may go to a folder that another process uses.

@@ -49,8 +49,7 @@ class Arrest(NamedTuple):
 def find_touch(time: np.ndarray, depth: np.ndarray, speed: float) -> float:
     """Return the time at which the lowest point touches the sand, from the rows around it [s].
 
-    Above the sand the body falls freely; in the first tenth of its path the deceleration is
-    constant.
+    Above the sand the body falls freely; in the first tenth of its path it decelerates evenly.
     """
     greatest = depth.max()
     beyond = np.flatnonzero(depth > 3 * _BEGINNING * greatest)[0]

@@ -54,8 +54,7 @@ class Fit:
         hold_out: names of runs that are predicted, not fitted.
 
     Raises:
-        UnknownNameError: the law does not have a free constant, or a run to hold out does not
-            exist.
+        UnknownNameError: the law has no such free constant, or there is no such run to hold out.
         InputError: no run to fit, two of the same name, or a start that lies on a bound.
     """
 
@@ -115,8 +114,7 @@ class FitResult:
         material: law and medium with the fitted constants.
         free: names of the free constants.
         values: fitted values of the free constants.
-        intervals: 95 % intervals; None where the data do not constrain the constant, or the law has
-            no bound.
+        intervals: 95 % intervals; None where neither the data nor the law bound the constant.
         correlations: correlations of the estimates, by names.
         identifiable: whether the data determine the constant separately from the others.
         at_bound: names of the constants that ended on a bound of the law.
@@ -162,9 +160,7 @@ class FitResult:
 def run_fit(fit: Fit, *, progress: Callable[[int], None] | None = None) -> FitResult:
     """Fit constants to runs, and predict the runs held out.
 
-    Args:
-        fit: the fit to run.
-        progress: called with the number of simulated runs.
+    `progress` is called with the number of simulated runs.
 
     Raises:
         InputError: implausible data, or too few data for the free constants.

@@ -20,8 +20,7 @@ class Motion:
         speed: downward speed of the center of mass; for a drag, wheel or robot, speed along its
             path [m/s]; None if unknown.
         force: force of the sand against the motion [N]: for a drop, the mean upward force since the
-            previous row; for a wheel, along its heading; for a turning leg, along x. None if
-            unknown.
+            previous row; for a wheel along its heading, for a turning leg along x; None if unknown.
         pitch: angle of the body's axis from the vertical [degrees]; None without an axis.
         to_the_stop: whether the record ends where the lowest point stops.
         lift: upward force of the sand [N].
@@ -56,16 +55,18 @@ class Motion:
         of speeds, that of the lowest point is used, from differences. A record `to_the_stop` of the
         lowest point ends there. None if it never touches or stops.
         """
-        if self.time is None or self.depth.max() <= 0:
+        if self.time is None or not self.depth.max() > 0:
             return None
         speed = np.gradient(self.depth, self.time) if self.speed is None else self.speed
-        touch = _touch(self.time, self.depth)
-        if touch is not None and self.to_the_stop:
+        i = int(np.argmax(self.depth >= 0))
+        rows = slice(max(0, i - 1), i + 1)
+        touch = np.interp(0.0, self.depth[rows], self.time[rows])
+        if self.to_the_stop:
             return float(self.time[-1] - touch)
         k = int(np.argmax(speed))
         limit = _STOPPED * speed[k]
         slow = np.flatnonzero(speed[k:] < limit)
-        if not len(slow) or touch is None:
+        if not len(slow):
             return None
         i = k + int(slow[0])
         return float(np.interp(limit, speed[[i, i - 1]], self.time[[i, i - 1]]) - touch)
@@ -82,16 +83,6 @@ class Motion:
         begin = self.time[self.time <= self.time[-1] - _MEAN]
         gained = np.interp(begin + _MEAN, self.time, impulse) - np.interp(begin, self.time, impulse)
         return float(gained.max() / _MEAN) if len(gained) else None
-
-
-def _touch(time: np.ndarray, depth: np.ndarray) -> float | None:
-    """Return the time at which a body touches the surface."""
-    inside = np.flatnonzero(depth >= 0)
-    if not len(inside):
-        return None
-    i = int(inside[0])
-    rows = slice(max(0, i - 1), i + 1)
-    return float(np.interp(0.0, depth[rows], time[rows]))
 
 
 @dataclass(frozen=True)
@@ -132,11 +123,7 @@ class Errors:
 
 
 def compare(measured: Motion, simulated: Motion) -> Errors:
-    """Compute the errors of a simulated motion.
-
-    Args:
-        measured: the reference motion.
-        simulated: the same motion with a law; at any times for a drop, else row by row.
+    """Compute the errors of a simulated motion: at any times for a drop, else row by row.
 
     Raises:
         InputError: only one is a drop, or a drop has no row in the sand.

@@ -47,13 +47,8 @@ def read_fit(
 ) -> Fit:
     """Read a medium and runs from a YAML file; docs/calibration.md has all keys.
 
-    Data files are searched next to it. Angles are in degrees there.
-
-    Args:
-        path: the file.
-        law: a law, or its name; None for that of the medium that the file is based on.
-        free: names of the constants to fit.
-        hold_out: names of runs that are predicted only.
+    Data files are searched next to it. Angles are in degrees there. Further arguments are those of
+    `Fit`; the law is by default that of the medium that the file is based on.
 
     Raises:
         InputError: the file cannot be read, lacks a key, or has a bad value; says which.

@@ -28,14 +28,7 @@ _PUSH_SPEED = 0.01  # default speed of a push [m/s]: slow
 
 
 class Body(Projectile):
-    """A body of one of the shapes of `models.Projectile`, SI units.
-
-    Args:
-        shape: sphere, capsule, cylinder, box, plate, ellipsoid or link.
-        diameter: size across the axis [m]; thickness of a plate.
-        length: size along the axis [m]; side of a plate; not used for a sphere.
-        mass: mass [kg]; a dropped body needs mass or density.
-        density: [kg/m^3].
+    """A body of one of the shapes of `models.Projectile`; a dropped one needs mass or density.
 
     Attributes:
         is_heavy: whether its weight is known.
@@ -117,8 +110,7 @@ class Run:
             "sink": the same under its load, free to sink. "walk": a robot whose legs turn at a
             constant rate, one rate per row. "model": a body of an MJCF model that is released; time
             and depth.
-        data: a CSV file, or the columns by their names, in SI units and degrees. It is read into
-            `motion`.
+        data: a CSV file, or columns by their names, in SI units and degrees; read into `motion`.
         body: the body that meets the sand: a shape, or an MJCF file; for "model" it is `model`.
         speed: downward, when the lowest point touches the sand (in `simulate` at the first row),
             or of a push, by default 0.01 m/s [m/s]; of a turn [rad/s].
@@ -161,7 +153,10 @@ class Run:
             if value not in get_args(options):
                 raise UnknownNameError(name, value, get_args(options))
         self._check_body()
-        self._check_unused()
+        users = {"depth": "drag", "model": "model", "model_body": "model", "keyframe": "model"}
+        for name, kind in users.items():
+            if getattr(self, name) is not None and self.kind != kind:
+                raise self.error(f"{name} is for runs of the kind {kind}, not for a {self.kind}")
         for name in ("speed", "depth"):
             value = getattr(self, name)
             if value is not None and not is_finite(value):
@@ -214,13 +209,6 @@ class Run:
             raise self.error(f"a {self.kind} needs a body from a file: {{file: leg.xml}}")
         elif self.kind == "drop" and not getattr(self.body, "is_heavy", True):
             raise self.error("a body that is dropped needs its mass [kg]")
-
-    def _check_unused(self) -> None:
-        """Check that no argument is given that this kind of run does not use."""
-        users = {"depth": "drag", "model": "model", "model_body": "model", "keyframe": "model"}
-        for name, kind in users.items():
-            if getattr(self, name) is not None and self.kind != kind:
-                raise self.error(f"{name} is for runs of the kind {kind}, not for a {self.kind}")
 
     def _read(self, data: Path | Mapping[str, Any], columns: Mapping[str, str] | None) -> Motion:
         """Read the columns that a fit takes, in SI units and degrees."""

@@ -133,13 +133,7 @@ def simulate(
 
     A drop starts with the depth and speed of the run's first row and ends with its last, or where
     the body stops after that; a push or drag takes the depth and speed of each row in turn, and the
-    other kinds the values of each row.
-
-    Args:
-        run: the run.
-        medium: the sand.
-        law: its law; None for the medium's default.
-        timestep: time step of a drop [s].
+    other kinds the values of each row. The time step is that of a drop [s].
 
     Raises:
         InputError: the law has no elements for such a body, the run is of a model, or a drop that

@@ -97,8 +97,7 @@ class Trial:
     def residual(self, predicted: list[np.ndarray]) -> np.ndarray:
         """Return prediction minus measurement, in parts of each scale.
 
-        Divided by the root of the number of rows: every series has the same weight at any frame
-        rate.
+        Divided by the root of the number of rows: a series weighs the same at any frame rate.
         """
         pairs = zip(predicted, self.series, strict=True)
         return np.concatenate(

@@ -51,8 +51,10 @@ class DropCommand(FilmOptions, options_of(Drop, without=("model",))):
                 with collected(problems):
                     _draw(folder, result)
                 if self.video:
+                    film = Film(camera=camera, seconds=1.0)
+                    drawn = (film, drop, vars(result), result.prints)
                     with collected(problems):
-                        _film(folder, result, camera)
+                        write_film(folder, FILM, film, lambda: frames_of_drop(*drawn))
                 if not problems:
                     folder.finish()
         return self.finish(problems)
@@ -63,12 +65,6 @@ def _draw(folder: ResultFolder, result: DropResult) -> None:
     title = f"{result.drop.title}, {result.medium}, {result.law} law, {result.timestep:g} s"
     arrays = result.t, names, result.depth, result.force, result.power
     folder.write(FIGURE, lambda path: draw_drop(path, *arrays, title=title))
-
-
-def _film(folder: ResultFolder, result: DropResult, camera: str) -> None:
-    film = Film(camera=camera, seconds=1.0)
-    drawn = (film, result.drop, vars(result), result.prints)
-    write_film(folder, FILM, film, lambda: frames_of_drop(*drawn))
 
 
 def _show(result: DropResult) -> None:

@@ -96,20 +96,17 @@ def release_to_stop(summary: dict[str, Any]) -> float | None:
     return summary["touchdown_time"] + summary["stopping_time"]
 
 
-def _title(summary: dict[str, Any]) -> str:
-    return (
-        f"{summary['speed']:g} m/s, {summary['angle_deg']:g} deg, {summary['medium']}, "
-        f"{summary['law']} law, {summary['scheme']}, {summary['timestep']:g} s"
-    )
-
-
 def _draw(folder: ResultFolder, result: ImpactResult, film: Film | None) -> list[GranularError]:
     """Draw the figures of a drop and its film; return what could not be drawn."""
     problems: list[GranularError] = []
     summary = result.summary()
     stop = release_to_stop(summary)
+    title = (
+        f"{summary['speed']:g} m/s, {summary['angle_deg']:g} deg, {summary['medium']}, "
+        f"{summary['law']} law, {summary['scheme']}, {summary['timestep']:g} s"
+    )
     with collected(problems):
-        options = {"stop": stop, "title": _title(summary)}
+        options = {"stop": stop, "title": title}
         for name, draw in zip(FIGURES, (draw_motion, draw_forces), strict=True):
             folder.write(name, lambda path, draw=draw: draw(path, result.trajectory, **options))
     if film is not None:

@@ -66,8 +66,7 @@ class HandleTable:
     def clear(self, data: int, instance: int) -> None:
         """Remove the block of an instance, if there is one.
 
-        It remains if MuJoCo frees an `mjData` without a callback, and makes a new one at its
-        address.
+        It remains if MuJoCo frees an `mjData` without a callback, and makes another in its place.
         """
         self._set_handle(data, instance, 0)
         self.release(data, instance)

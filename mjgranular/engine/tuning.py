@@ -77,8 +77,7 @@ def tune(
     Args:
         model: the model.
         state: `data.plugin_state`, or a row or all rows of `batch.bind("plugin_state")`, shape
-            (..., npluginstate); written to. Other values may be arrays of the shape before the
-            last.
+            (..., npluginstate); written to. Other values may be arrays of shape (...).
         name: name of the instance.
         active: whether the sand is active.
         strength: factor on static resistance.

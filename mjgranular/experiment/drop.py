@@ -186,13 +186,10 @@ class DropResult:
 
     def summary(self) -> dict[str, Any]:
         """Return the result in plain numbers, SI units."""
+        same = ("law", "medium", "scheme", "timestep", "elements")
         return {
             "model": self.drop.title,
-            "law": self.law,
-            "medium": self.medium,
-            "scheme": self.scheme,
-            "timestep": self.timestep,
-            "elements": self.elements,
+            **{name: getattr(self, name) for name in same},
             "duration": float(self.t[-1]),
             "at_rest": self.rest is not None,
             "rest_time": self.rest,
@@ -219,11 +216,7 @@ class DropResult:
 
 
 def run_drop(drop: Drop, *, progress: Callable[[float], None] | None = None) -> DropResult:
-    """Run a model on sand.
-
-    Args:
-        drop: the run.
-        progress: called now and then with the simulated time [s].
+    """Run a model on sand; `progress` is called now and then with the simulated time [s].
 
     Raises:
         InputError: the model cannot be read, or cannot be lifted or thrown.

@@ -254,14 +254,9 @@ _PROGRESS_STEPS = 5000  # between two calls of `progress`
 
 
 def run_impact(impact: Impact, *, progress: Callable[[float], None] | None = None) -> ImpactResult:
-    """Drop the link.
+    """Drop the link; `progress` is called now and then with the simulated time [s].
 
-    Args:
-        impact: the drop.
-        progress: called now and then with the simulated time [s].
-
-    Returns:
-        The result, also if T did not stop, or the link did not come to rest, within the duration.
+    There is a result also if T did not stop, or the link did not come to rest, within the duration.
 
     Raises:
         UnstableError: the simulation diverged, because the time step is too large for the scheme.

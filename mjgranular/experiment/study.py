@@ -68,10 +68,24 @@ class Study:
         if not self.vary:
             raise InputError("a study varies something, such as speed=(1.0, 2.0)")
         for name, values in self.vary.items():
-            self._check_values(name, values)
+            if isinstance(values, str) or not isinstance(values, (Sequence, np.ndarray)):
+                raise InputError(f"{name} needs a list of values, got {kind_of(values)}")
+            if not len(values):
+                raise InputError(f"{name} needs at least one value")
+            for value in values:
+                if not isinstance(value, str) and not is_finite(value):
+                    raise InputError(f"values of {name} are finite numbers or names, got {value!r}")
         if len(self) > _MOST:
             raise InputError(f"a study has at most {_MOST} points, got {len(self)}")
-        self._check_experiments()
+        # Each value of each field, the other fields at their first; of very many values both ends.
+        some = {
+            name: [*map(_plain, values if len(values) <= _CHECKED else (values[0], values[-1]))]
+            for name, values in self.vary.items()
+        }
+        first = {name: values[0] for name, values in some.items()}
+        for name, values in some.items():
+            for value in values:
+                with_values(self.experiment, {**first, name: value})
 
     def __len__(self) -> int:
         return math.prod(self._shape)
@@ -102,23 +116,6 @@ class Study:
     @property
     def _shape(self) -> tuple[int, ...]:
         return tuple(map(len, self.vary.values()))
-
-    def _check_values(self, name: str, values: object) -> None:
-        if isinstance(values, str) or not isinstance(values, (Sequence, np.ndarray)):
-            raise InputError(f"{name} needs a list of values, got {kind_of(values)}")
-        if not len(values):
-            raise InputError(f"{name} needs at least one value")
-        for value in values:
-            if not isinstance(value, str) and not is_finite(value):
-                raise InputError(f"values of {name} are finite numbers or names, got {value!r}")
-
-    def _check_experiments(self) -> None:
-        """Make the experiments at each value of each field, the other fields at their first."""
-        some = {name: _some(values) for name, values in self.vary.items()}
-        first = {name: values[0] for name, values in some.items()}
-        for name, values in some.items():
-            for value in values:
-                with_values(self.experiment, {**first, name: value})
 
 
 def with_values(experiment: Experiment, values: Mapping[str, Value]) -> Experiment:
@@ -198,12 +195,6 @@ def _plain(value: Any) -> Value:
     return value.item() if isinstance(value, np.generic) else value
 
 
-def _some(values: Sequence[Value]) -> list[Value]:
-    """Return values to check beforehand."""
-    few = values if len(values) <= _CHECKED else [values[0], values[-1]]
-    return [_plain(value) for value in few]
-
-
 Row = dict[str, Any]
 """Result of one experiment: plain numbers and names."""
 
@@ -216,14 +207,7 @@ Workers import laws from the modules that define them.
 
 @dataclass(kw_only=True)
 class StudyResult(Mapped):
-    """Finished part of a study.
-
-    Attributes:
-        study: the study.
-        journal: journal of the finished rows.
-        failures: experiments without a row.
-        stopped_by: the signal that interrupted the study before its end; None if none did.
-    """
+    """Finished part of a study: a `pool.Mapped` of its rows."""
 
     study: Study
 

@@ -60,7 +60,9 @@ def save(build: str, name: str, make: Callable[[], T]) -> T | None:
     """Have numba compile and cache a program by `make`, and return it; None if it cannot cache."""
     for root in _folders_to_write():
         with suppress(OSError):  # of a full disk too: compiled, but not written
-            _remove_old(root, build)
+            for old in root.iterdir():
+                if old.name != build and time.time() - old.lstat().st_mtime > _OLD:
+                    shutil.rmtree(old, ignore_errors=True)
             folder = _folder_of(root, build)
             with tempfile.TemporaryDirectory(
                 prefix=f"{name}.", dir=folder, ignore_cleanup_errors=True
@@ -154,12 +156,6 @@ def _sums(folder: Path) -> str:
         f"{hashlib.sha256(path.read_bytes()).hexdigest()}  {path.relative_to(folder).as_posix()}\n"
         for path in sorted(files)
     )
-
-
-def _remove_old(root: Path, build: str) -> None:
-    for folder in root.iterdir():
-        if folder.name != build and time.time() - folder.lstat().st_mtime > _OLD:
-            shutil.rmtree(folder, ignore_errors=True)
 
 
 def _folders() -> Iterator[Path]:

@@ -54,8 +54,7 @@ _reported = False
 def report_compiling(how_often: str, what: str) -> None:
     """Report that kernels are compiled now: each program of a sand, and the rest once.
 
-    The report goes to the log, which the command line shows. If the log is not shown, it is printed
-    to a terminal.
+    The report goes to the log, which the command line shows; else it is printed to a terminal.
     """
     global _reported
     if what:

@@ -1,8 +1,7 @@
 """Exponential and logarithm in plain arithmetic, which vectorizes.
 
 Those of the math library take one number at a time, and a loop over facets spends most of its time
-in them. These are within a few units in the last place of the true values, and the same on every
-processor.
+in them. These are within a few units in the last place, and the same on every processor.
 """
 
 from functools import partial

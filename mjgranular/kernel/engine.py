@@ -1,8 +1,4 @@
-"""MuJoCo's library: functions that kernels call during a step.
-
-Cached machine code must not contain addresses: functions are called by name, resolved when the code
-is loaded.
-"""
+"""MuJoCo's library: functions that kernels call during a step."""
 
 import ctypes
 import sys

@@ -82,13 +82,10 @@ def _step_to_end(env: Any, agent: Agent, seeds: list[int]) -> Episodes:
     return Episodes(np.array(seeds), returns, lengths, figures)
 
 
-def _is_number_each(values: object, count: int) -> bool:
+def _is_number_each(values: Any, count: int) -> bool:
     """Return True if an entry of `info` is one number, or one boolean, for each simulation."""
-    return (
-        isinstance(values, np.ndarray)
-        and values.shape == (count,)
-        and (np.issubdtype(values.dtype, np.number) or values.dtype == bool)
-    )
+    is_row = isinstance(values, np.ndarray) and values.shape == (count,)
+    return is_row and (np.issubdtype(values.dtype, np.number) or values.dtype == bool)
 
 
 # Scores

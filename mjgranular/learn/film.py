@@ -68,10 +68,7 @@ def _frame(env: Any) -> np.ndarray:
 class Live:
     """An agent in an environment, episode after episode, without a limit of time.
 
-    Args:
-        env: the environment, of the package or a `MujocoEnv` of Gymnasium.
-        agent: the agent.
-        seed: seed of the first episode.
+    The environment is of the package or a `MujocoEnv` of Gymnasium; `seed` is of the first episode.
 
     Attributes:
         model: the environment's model.

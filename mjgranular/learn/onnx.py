@@ -22,11 +22,7 @@ def export_onnx(policy: Policy, file: str | Path) -> Path:
     The model has one input, `observations`, float32 of shape (n, observations), as the environment
     gives them: scaling them is part of the model. Its output, `actions`, float32 of shape
     (n, actions), is what `step` takes. Before the file is written, actions for 64 observations are
-    compared with those of `policy.act`.
-
-    Args:
-        policy: the policy, from `load_policy`.
-        file: the file to write; must not exist yet.
+    compared with those of `policy.act`. The file must not exist yet.
 
     Raises:
         MissingExtraError: the extra `onnx` is not installed.
@@ -37,7 +33,12 @@ def export_onnx(policy: Policy, file: str | Path) -> Path:
     reference = require("onnx.reference", extra="onnx", purpose="Exporting a policy")
     file = _check(policy, file)
     model = _model_of(onnx, policy)
-    observations = _observations_of(policy)
+    # Observations that reach the limits of scaled observations and of actions.
+    shape = (64, *policy.model.observation_space.shape)
+    values = 4 * np.random.default_rng(0).standard_normal(shape)
+    if policy.normalizer.observations:
+        values = policy.normalizer.mean + np.sqrt(policy.normalizer.variance) * values
+    observations = values.astype(np.float32)
     (actions,) = reference.ReferenceEvaluator(model).run(None, {"observations": observations})
     space = policy.model.action_space
     expected = policy.act(observations, np.zeros(len(observations)))
@@ -55,15 +56,9 @@ def export_safetensors(policy: Policy, file: str | Path) -> Path:
     The JSON file has the same name with the suffix .json: the environment, its sand, versions, and
     `operations`, a list of names of ONNX operators in their order, from observations to actions.
     Constants of operation i are the tensors "i.0", "i.1"; those of a `Gemm` are weight and bias.
+    Neither of the files must exist yet.
 
-    Args:
-        policy: the policy, from `load_policy`.
-        file: the file to write; neither it nor the JSON file must exist yet.
-
-    Raises:
-        MissingExtraError: the extra `onnx` is not installed.
-        InputError: observations or actions are not rows of numbers, or a layer is unknown.
-        OutputError: a file exists or cannot be written.
+    Raises: as `export_onnx`.
     """
     tensors = require("safetensors.numpy", extra="onnx", purpose="Exporting a policy")
     file = _check(policy, file)
@@ -162,12 +157,3 @@ def _layers_of(model: Any) -> list[Any]:
     else:
         layers = [*model.mlp_extractor.policy_net, model.action_net]
     return [*layers, torch.nn.Tanh()] if model.squash_output else layers
-
-
-def _observations_of(policy: Policy) -> np.ndarray:
-    """Return observations that reach the limits of scaled observations and of actions."""
-    shape = (64, *policy.model.observation_space.shape)
-    values = 4 * np.random.default_rng(0).standard_normal(shape)
-    if policy.normalizer.observations:
-        values = policy.normalizer.mean + np.sqrt(policy.normalizer.variance) * values
-    return values.astype(np.float32)

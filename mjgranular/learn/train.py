@@ -47,15 +47,12 @@ def train(run: Run, *, report: Report | None = None, warp: str | None = None) ->
     the run's seed and the number of steps, in the same process as in a new one. So a run that was
     killed and resumed gives the same policy, bit for bit, as one that was not.
 
-    Args:
-        run: the run to train.
-        report: called at every step of the environments.
-        warp: device of MuJoCo Warp that steps the batch, "cuda:0", "cpu" or "auto"; None for MuJoCo
-            on this machine's cores. A run may change this at any checkpoint.
+    `report` is called at every step of the environments. `warp` is the device of MuJoCo Warp that
+    steps the batch, "cuda:0", "cpu" or "auto"; None for MuJoCo on this machine's cores. A run may
+    change this at any checkpoint.
 
     Raises:
-        InputError: the environment, the algorithm, its arguments and the policy that it starts from
-            do not match.
+        InputError: environment, algorithm, its arguments and the policy to start from do not match.
         OutputError: the environment's module would be executed only because a file names it, or a
             checkpoint cannot be written or read; those before it are intact.
         UnstableError: weights of the policy are not finite.

@@ -143,7 +143,10 @@ def _draw(figure: Any, shown: Shown, surface: Any, *, normals: bool, forces: boo
         style = {"color": outlines.RED, "linewidth": 1.1, "arrow_length_ratio": 0.2, "zorder": 3}
         axes.quiver(*tails.T, *arrows.T, **style)
         points = np.concatenate([points, tails, tips])
-    low, high = _box(points)
+    low, high = points.min(axis=0), points.max(axis=0)
+    middle, half = (low + high) / 2, 1.04 * (high - low) / 2
+    half = np.maximum(half, _LEAST_SIDE * half.max())
+    low, high = middle - half, middle + half
     if isinstance(surface, Plane):
         _draw_plane(axes, art, surface, low, high)
     _set_axes(axes, low, high)
@@ -156,14 +159,6 @@ def _shaded(polygons: np.ndarray, colors: np.ndarray) -> np.ndarray:
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     light = np.abs(normals @ (_LIGHT / np.linalg.norm(_LIGHT)))
     return 1 - (1 - colors) * (0.55 + 0.45 * (1 - light))[:, None]
-
-
-def _box(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the corners of a box around all points, no side much shorter than another."""
-    low, high = points.min(axis=0), points.max(axis=0)
-    middle, half = (low + high) / 2, 1.04 * (high - low) / 2
-    half = np.maximum(half, _LEAST_SIDE * half.max())
-    return middle - half, middle + half
 
 
 def _set_axes(axes: Any, low: np.ndarray, high: np.ndarray) -> None:
@@ -218,16 +213,7 @@ def add_elements(
     The geoms that they are made from, and a bed or height field of sand, become transparent if the
     scene has them. A viewer's `user_scn` does not: there, press T to see through them.
 
-    Args:
-        scene: the scene to add to.
-        sand: the sand whose elements are drawn.
-        data: the simulation.
-        color: meaning of the colors: "body" or "geom".
-        normals: whether normals of facets are drawn.
-        forces: whether the sand's force on each element is drawn, as an arrow.
-
-    Returns:
-        The number of geoms added.
+    Return the number of geoms added. The options are those of `draw_elements`.
 
     Raises:
         InputError: the scene has too few free geoms, and then nothing is added; or `data` belongs

@@ -65,8 +65,7 @@ def draw_study(
 ) -> None:
     """Draw two outcomes against one varied field, or over a grid of two.
 
-    `columns` are those of the table, with None for missing values; `varied` has the names of one or
-    two of them.
+    `columns` are those of the table, with None for missing values; `varied` names one or two.
     """
     inputs = [axis_of(name) for name in varied]
     if len(inputs) == 1:

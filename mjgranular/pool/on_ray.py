@@ -22,8 +22,7 @@ _AHEAD = 4  # tasks per core, so that no core waits for us
 class RayPool:
     """Tasks on Ray.
 
-    An existing session of this process is used and left open; else one is started, and ended with
-    the work.
+    An existing session of this process is used and left open; else one lasts as long as the work.
     """
 
     def __init__(self, function: Function, shared: Any, workers: Workers) -> None:

@@ -35,8 +35,7 @@ class Workers:
 
     Attributes:
         engine: "local", processes of this machine, or "ray".
-        count: number of tasks that run at once; None for one per core. A single local one is this
-            process.
+        count: number of tasks that run at once; None for one per core. Local, 1 is this process.
         address: address of a Ray cluster: HOST:PORT of its head, or "auto" for the one that this
             machine belongs to. None to start Ray on this machine.
     """

@@ -102,7 +102,11 @@ def footprint_of(
         far = math.hypot(*middle) + math.hypot(*half)
         feet.append((model.geom_bodyid[geom], count, middle, half, far))
     tiles = aligned(np.concatenate(points))
-    return Footprint(tiles, _spheres_around(tiles), np.array(feet, FOOT_DTYPE))
+    places = tiles[:, :3]
+    middles = (places.min(axis=2) + places.max(axis=2)) / 2
+    radii = np.linalg.norm(places - middles[:, :, None], axis=1).max(axis=1)
+    spheres = np.column_stack([middles, radii + _ROUNDING])
+    return Footprint(tiles, spheres, np.array(feet, FOOT_DTYPE))
 
 
 def _in_tiles(points: np.ndarray) -> np.ndarray:
@@ -110,14 +114,6 @@ def _in_tiles(points: np.ndarray) -> np.ndarray:
     points = np.concatenate([points, np.repeat(points[-1:], -len(points) % LANES)])
     numbers = np.concatenate([points["point"], points["normal"]], axis=1)
     return numbers.reshape(-1, LANES, 6).transpose(0, 2, 1)
-
-
-def _spheres_around(tiles: np.ndarray) -> np.ndarray:
-    """Return a sphere around the points of each tile, shape (n, 4)."""
-    points = tiles[:, :3]
-    middle = (points.min(axis=2) + points.max(axis=2)) / 2
-    radius = np.linalg.norm(points - middle[:, :, None], axis=1).max(axis=1)
-    return np.column_stack([middle, radius + _ROUNDING])
 
 
 def _on_rod(rod: np.void, cell: float) -> np.ndarray:

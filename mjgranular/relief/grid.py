@@ -146,8 +146,7 @@ def mean_at(state, size, blocks, cell, u, v):
     """Return the mean height over a square of four blocks' side around a point [m].
 
     Blocks at the edges count in proportion to their part in the square, so the mean is continuous
-    in the point. A crater with its rim that is at most a block away, whatever their shapes, adds
-    nothing to it.
+    in the point. A crater of any shape with its rim, at most a block away, adds nothing to it.
     """
     width = size // blocks
     # Block 0 has the nodes 0 to width - 1: its center is at (width - 1) / 2.

@@ -11,8 +11,7 @@ body. On untouched sand both are 0, and the depth is exactly that below the surf
 remaining depth in a track: sand is pressed down to within it, so that a body standing still in its
 track is supported by all of the resistance, which falls to zero as the body rises by that much.
 
-A steep face is resisted by the sand ahead of it, a cell and a half away; a flat one by the sand
-under it.
+A steep face is resisted by the sand a cell and a half ahead of it; a flat one by that under it.
 """
 
 from functools import cache, partial

@@ -198,8 +198,7 @@ def heap(state, relief, first, volume):
             for dj in range(-2, 3):
                 q, base = begin + grid.wrapped(column + dj, size), grid.base_beside(middle, di, dj)
                 mark = grid.own_mark(state, size, q, base)
-                # A place with a body in the last step most likely still has one, if not yet
-                # processed.
+                # A place with a body in the last step most likely has one, not yet processed.
                 if mark >= grid.UNDER or found == room:
                     continue
                 if has_edge and not is_sand(relief, (i + di) * cell, (j + dj) * cell):

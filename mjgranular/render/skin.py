@@ -2,8 +2,7 @@
 
 MuJoCo's viewers and renderers read the vertices of a skin for every picture, so each picture can
 have its own shape. A skin does not affect the physics. Its grid is wrapped around like that of the
-memory: node (i, j) has the vertex (i mod n, j mod n), and its texture stays in place when the robot
-moves on.
+memory: node (i, j) has the vertex (i mod n, j mod n), and the texture stays where it is.
 """
 
 import math

@@ -362,9 +362,8 @@ def missed_steps(
 ) -> Iterator[str]:
     """Check that the time has not advanced without the sand.
 
-    It last acted at `last`, None for never, in a step of this size. `began` is the initial time of
-    a simulation in which it should act from the first step on; None if the state may come from
-    elsewhere.
+    It last acted at `last`, None for never, in a step of this size. `began` is the initial time if
+    it should act from the first step on; None if the state may come from elsewhere.
     """
     since = began if last is None else last + step
     if since is None or not time > since + 0.5 * step:

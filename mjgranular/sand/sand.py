@@ -179,8 +179,7 @@ class Sand:
                 and `xfrc_applied` included.
             InputError: the time step is not a positive number, or the model's integrator was
                 changed to one that cannot be stepped (RK4): the step is not made. At the first step
-                with this `data`: it belongs to another model, or another `Sand` acts on one of the
-                bodies.
+                with this `data`: it is of another model, or another `Sand` acts on the same bodies.
         """
         recent, address = self._recent
         if recent() is not data:

@@ -36,13 +36,10 @@ class SandSpec:
         geoms: names or numbers of the geoms that meet the sand; or "all".
         groups: geom groups whose collision geoms meet the sand, those of bodies that can move; of a
             group in which none collides, all. The union of `bodies`, `geoms` and `groups` meets the
-            sand; with none of them, as with "all", every collision geom of every body that can
-            move.
-        resolution: how finely geoms are cut into elements, in the law's own measure; None for its
-            default.
+            sand; with none of them, as with "all", every collision geom of what can move.
+        resolution: how finely geoms are cut, in the law's own measure; None for its default.
         instead_of: names or numbers of geoms that the sand replaces, such as the model's own floor.
-            They must be fixed to the world. Their contacts are switched off in the model; they are
-            still drawn.
+            They must be fixed to the world; the model loses their contacts, and still draws them.
         memory: memory of what has been pressed down: a `Memory`, the side of a cell [m], a string
             such as "cell=0.01 extent=4", or True for defaults; None for sand that closes behind
             what has passed.

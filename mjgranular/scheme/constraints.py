@@ -129,14 +129,9 @@ def friction_loss(last, x, limit, mass, update):
     multiplier p = -x / max(|x|, L / D) is an unknown in addition to x (`law.kernel`; for this
     function M. Hintermueller, G. Stadler, SIAM J. Sci. Comput. 28 (2006)).
 
-    Args:
-        last: x and p of the last evaluation; overwritten with the present ones.
-        x: acceleration along the row minus its reference.
-        limit: L.
-        mass: D, of the row while it holds.
-        update: `FRESH`, `NEXT`, `SAME`.
-
-    The third number returned is the square of the difference between p and the multiplier of x.
+    `last` has x, the acceleration along the row minus its reference, and p of the last evaluation,
+    and is overwritten. `limit` is L, `mass` D of the row while it holds; `update` is `FRESH`,
+    `NEXT` or `SAME`. Return third the square of the difference between p and the multiplier of x.
     """
     edge = limit / mass
     size = max(abs(x), edge)

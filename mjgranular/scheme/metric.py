@@ -7,8 +7,7 @@ This integrator solves for constraints and velocity at once,
 with damping D and stiffness K of joints, tendons, actuators, fluid and flexes, none of them
 negative; a is (v' - v) / h itself. Metric, shift c and the rows of the constraints, whose softness
 depends on the metric, are computed after the actuators' forces, between two functions of MuJoCo's
-interface. Inverse dynamics is the only other function of this interface that computes exactly
-these.
+interface. Inverse dynamics is its only other function that computes exactly these.
 """
 
 import mujoco

@@ -34,8 +34,7 @@ class Search(NamedTuple):
     """Options of one run of Newton's method."""
 
     # Multipliers at the beginning: `FRESH`, those of the velocity itself with the softness `loose`;
-    # `SAME`, those that are there; `LAST`, those of the motions in `w`, at which forces are
-    # linearized.
+    # `SAME`, those there; `LAST`, those of the motions in `w`, at which forces are linearized.
     update: np.int64
     loose: float  # [m/s]
     eps: float  # softness [m/s]

@@ -95,13 +95,9 @@ class Workspace:
 
 
 class SchemeChoice(ABC):
-    """Choice of a scheme: a fixed one, or one that depends on the model.
+    """Choice of a scheme: a fixed one, or one that depends on the model."""
 
-    Attributes:
-        name: name in the registry.
-    """
-
-    name: ClassVar[str]
+    name: ClassVar[str]  # in the registry
 
     @abstractmethod
     def scheme_for(self, model: mujoco.MjModel, elements: int, adds_mass: bool) -> "Scheme":

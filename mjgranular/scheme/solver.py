@@ -60,7 +60,11 @@ def find_velocity(table, w):
     """Solve for `w.velocity` at the end of the step; return evaluations and relative residual."""
     velocity = w.velocity
     fine = softness(table, w, velocity)
-    coarse = speed_without_sand(table, w)
+    # The greatest speed of an element initially at rest after a step without sand.
+    for j in range(w.nv):
+        w.trial[j] = w.h * w.qacc_smooth[j]
+    find_motions(w, w.trial)
+    coarse = fastest(table, w)
     goal = goal_of(fine) * w.scale
     done = 0
     find_last_motions(w)
@@ -82,8 +86,7 @@ def find_velocity(table, w):
     more, error = newton(table, w, Search(FRESH, loose, fine, goal, _STEPS, math.inf))
     done += more
     if goal < error <= _LOST * w.scale:
-        # Bodies that start to move in this step have more rounding than their velocity before
-        # shows.
+        # Bodies that start to move in this step have more rounding than their velocity showed.
         moved = softness(table, w, velocity)
         if moved > _BEGUN * fine:
             fine = moved
@@ -119,8 +122,7 @@ def goal_of(eps):
 def softness(table, w, velocity):
     """Return the final softness at a joint velocity [m/s].
 
-    It grows with the joint velocities that cancel in that of a body, and so with the rounding of
-    its rest.
+    It grows with the joint velocities that cancel in that of a body: its rest has their rounding.
     """
     largest, address = 0.0, table.ctypes.data
     while address != 0:
@@ -159,15 +161,6 @@ def cancelled(w, own, velocity):
             j = w.dof_parentid[j]
         largest = max(largest, total + math.sqrt(slides * square))
     return largest
-
-
-@compiled
-def speed_without_sand(table, w):
-    """Return the greatest speed of an element initially at rest after a step without sand [m/s]."""
-    for j in range(w.nv):
-        w.trial[j] = w.h * w.qacc_smooth[j]
-    find_motions(w, w.trial)
-    return fastest(table, w)
 
 
 @compiled

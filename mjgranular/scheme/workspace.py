@@ -1,8 +1,7 @@
 """Workspace of the implicit scheme in one simulation: its arrays, and MuJoCo's.
 
 A kernel sees all of them as fields of one record, `w`: `w.nv`, `w.velocity[j]`, `w.cdof[j]`. Fields
-of MuJoCo's structs keep MuJoCo's names. The record is made once for each `MjData`, so that no step
-allocates.
+of MuJoCo's structs keep MuJoCo's names. It is made once for each `MjData`: no step allocates.
 """
 
 from collections.abc import Mapping

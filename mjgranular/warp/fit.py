@@ -115,9 +115,6 @@ def coupled(spec: mujoco.MjSpec) -> mujoco.MjSpec:
     "simple" to MuJoCo: its inertia is stored as a diagonal. The copy has those frames moved by 1e-5
     of the body's size.
 
-    Args:
-        spec: model to copy.
-
     Raises:
         InputError: `spec` is not an `MjSpec`.
     """

@@ -63,8 +63,7 @@ class WarpSand:
         bodies: names of the bodies in the sand, in the order of `force`, `moment` and `depth`.
         strength: factor on static resistance in each world, shape (nworld,), assignable.
         density: factor on drag and inertia of sand in each world, shape (nworld,), assignable.
-        height: how much the surface is raised along its normal in each world [m], shape (nworld,),
-            assignable.
+        height: how much each world's surface is raised along its normal [m], (nworld,), assignable.
         force: force on each body in the last step [N], world frame, shape (nworld, bodies) of
             `wp.vec3`.
         moment: moment on each body about its center of mass [N m].
@@ -179,10 +178,7 @@ class WarpSand:
         self._attached_to = m
 
     def set_media(self, media: Sequence[str | Medium]) -> None:
-        """Give each world its own medium, with this sand's kind of law.
-
-        Args:
-            media: one for each world, or one for all.
+        """Give each world its own medium, or all of them one, with this sand's kind of law.
 
         Raises:
             InputError: the sand is not attached, or the number of media does not match the worlds.
@@ -201,13 +197,9 @@ class WarpSand:
         self._laws = to_device(np.concatenate(records), self._law_struct, self._device)
 
     def relief(self, d: Any, world: int, middle: tuple[float, float] | None = None) -> Heights:
-        """Return the stored heights of a world's sand over its surface.
+        """Return the stored heights of a world's sand over its surface, as `Sand.relief` does.
 
-        Args:
-            d: `mujoco_warp.Data`.
-            world: index of the world.
-            middle: center of the returned square, along the axes of the surface's plane [m]; None
-                for the center of the bodies that meet the sand.
+        `d` is the `mujoco_warp.Data`, `world` the index of the world.
 
         Raises:
             InputError: the sand has no memory, is not attached, or has no world of that index.

@@ -3,8 +3,7 @@
 The rules are those of `relief.update`, with formulas from the same source, but all nodes are
 processed at once. Each surface point requests a height at its nodes, and the lowest wins
 (`press`). Each node beside a track takes its share of what the nearest body displaced (`heap`).
-Sand flows in squares of four nodes, every other one along both axes, so that no two share a node
-(`flow`).
+Sand flows in squares of four nodes, every other one along both axes: no two share one (`flow`).
 
 `LANES` threads per world process its points or nodes, in any order. A world with nothing to do
 costs almost nothing.
