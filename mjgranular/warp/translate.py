@@ -31,16 +31,6 @@ MATRIX_2X3 = wp.types.matrix(shape=(2, 3), dtype=wp.float32)
 
 
 @wp.func
-def _vector(x: float, y: float, z: float):
-    return wp.vec3(x, y, z)
-
-
-@wp.func
-def _norm(a: Any):
-    return wp.length(a)
-
-
-@wp.func
 def _diagonal(a: float):
     return wp.mat33(a, 0.0, 0.0, 0.0, a, 0.0, 0.0, 0.0, a)
 
@@ -49,11 +39,6 @@ def _diagonal(a: float):
 def _read(array: Any, first: Any):
     """Read a vector or matrix of a record, which has that type already in Warp."""
     return array
-
-
-@wp.func
-def _choose(condition: bool, yes: Any, no: Any):
-    return wp.where(condition, yes, no)
 
 
 @wp.func
@@ -91,16 +76,16 @@ _MEANINGS: dict[int, Any] = {
     id(thing): meaning
     for thing, meaning in (
         (math, _Math),
-        (vector.vector, _vector),
+        (vector.vector, wp.vec3),
         (vector.dot, wp.dot),
         (vector.cross, wp.cross),
-        (vector.norm, _norm),
+        (vector.norm, wp.length),
         (vector.outer, wp.outer),
         (vector.diagonal, _diagonal),
         (vector.transposed, wp.transpose),
         (vector.read_vector, _read),
         (vector.read_matrix, _read),
-        (lanes.choose, _choose),
+        (lanes.choose, wp.where),
         (lanes.all_of, _all_of),
         (lanes.root, wp.sqrt),
         (elementary.logarithm, wp.log),
@@ -187,8 +172,7 @@ _BY_SHAPE = {(): wp.float32, (3,): wp.vec3, (9,): wp.mat33, (3, 3): wp.mat33, (2
 def struct_of_dtype(name: str, dtype: np.dtype) -> Any:
     """Make the Warp struct with the fields of a dtype: numbers, vectors, matrices, records.
 
-    Addresses of heights become arrays named `data`; the address of a relief's state becomes its
-    `Grid`.
+    Addresses of heights become arrays named `data`, that of a relief's state becomes its `Grid`.
     """
     fields: dict[str, Any] = {}
     for key in dtype.names or ():
