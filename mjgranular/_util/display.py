@@ -46,16 +46,4 @@ def opens_window(*, monitor: bool = False) -> bool:
         return bool(window)
 
 
-def import_mujoco() -> None:
-    """Import mujoco, also with a value of `MUJOCO_GL` that fails: then only drawing does."""
-    try:
-        importlib.import_module("mujoco")
-    except (AttributeError, RuntimeError):  # no renderer of this name, or no library for it
-        value = os.environ.get("MUJOCO_GL", "")
-        os.environ["MUJOCO_GL"] = "off"
-        importlib.import_module("mujoco")
-        os.environ["MUJOCO_GL"] = value
-
-
 choose_renderer()
-import_mujoco()

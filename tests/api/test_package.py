@@ -123,18 +123,6 @@ def test_the_renderer_is_chosen_only_where_nobody_has():
     assert shown.strip() == "None"
 
 
-def test_a_wrong_renderer_fails_only_where_something_is_drawn():
-    code = (
-        "import os; os.environ['MUJOCO_GL'] = 'nonsense'; import mjgranular, mujoco\n"
-        "try:\n"
-        "    with mjgranular.errors.drawing():\n"
-        "        mujoco.Renderer(mujoco.MjModel.from_xml_string('<mujoco/>'))\n"
-        "except mjgranular.RenderError as error:\n"
-        "    print(error)"
-    )
-    assert "set MUJOCO_GL=egl (it is 'nonsense')" in python(code)
-
-
 @pytest.mark.slow
 def test_kernels_come_from_the_cache_in_a_second_process():
     code = (
