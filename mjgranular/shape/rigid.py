@@ -96,8 +96,7 @@ def join_faces(model: mujoco.MjModel, data: mujoco.MjData, facets: np.ndarray) -
 
     wide, with the direction e of the length and the normal n of the facet.
 
-    `data` is of `in_own_frames`. Of the facets `width` is that of the geom; sets `face`, `layer`
-    and `area`.
+    `data` is of `in_own_frames`; `width` of facets is their geom's. Sets `face`, `layer`, `area`.
     """
     points, normals, edges = _placed(data, facets)
     facets["face"] = facets["width"]
