@@ -163,7 +163,7 @@ class Rft3dLaw(RftLaw):
         inertia: lambda of the dynamic term -n lambda rho v_n^2; 0 omits it. 1.1 is the value
             of Agarwal et al. 2021 for horizontal plates.
         added: kappa of the added mass: leading facets move a layer of sand that is kappa
-            times as deep as their geom is wide; 0 omits it.
+            times as deep as their face is wide, deeper if it is long; 0 omits it.
         rise: lower the surface behind a turning body by r (r w^2/g), for wheels.
         scale: factor on the stiffness, from a calibration; see `calibrated`.
         cone: mean depth of the stagnant sand under flat faces, in their widths; 0 omits it.
