@@ -52,7 +52,7 @@ def add_material(spec: mujoco.MjSpec, *, tile: float = TILE) -> str:
         )
         material = spec.add_material(name=MATERIAL)
         material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = MATERIAL
-        material.texrepeat = np.full(2, 2 / tile, np.float32)  # MuJoCo repeats it over half the edges
+        material.texrepeat = np.full(2, 2 / tile, np.float32)  # over half the edges
         material.texuniform = True
         material.specular = material.shininess = material.reflectance = 0.0
     return MATERIAL
