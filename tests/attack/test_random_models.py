@@ -104,7 +104,8 @@ def test_a_run_that_is_ended_keeps_its_report_and_prints_its_table(deaths, tmp_p
     assert run.returncode == 143
     assert "deaths: survives" in rest
     rows = [json.loads(line) for line in (tmp_path / "rows").read_text().splitlines()]
-    assert [row["case"] for row in rows] == [0, 1, 2, 3]
+    # More on a busy machine, until the signal comes.
+    assert [row["case"] for row in rows] == [*range(max(4, len(rows)))]
 
 
 def test_every_event_has_a_meaning():
