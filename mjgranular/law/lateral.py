@@ -90,10 +90,8 @@ def tilted_slope(slope: Any) -> Any:
         n_2, across = down * down, 1.0 - rise * rise
         tilted, steep = TILTED * 4.0 * n_2 * (1.0 - n_2), 1.0 - across * across
         k = 1.0 - tilted * steep
-        k_rise, k_down = (
-            -4.0 * tilted * across * rise,
-            -8.0 * TILTED * steep * (down - 2.0 * n_2 * down),
-        )
+        k_rise = -4.0 * tilted * across * rise
+        k_down = -8.0 * TILTED * steep * (down - 2.0 * n_2 * down)
         return strength, k * f, k * by_rise + k_rise * f, k * by_down + k_down * f, k * by_lead
 
     return of_tilted

@@ -21,9 +21,9 @@ _PARALLEL, _COPLANAR, _GAP, _OPEN = math.cos(math.radians(3)), 0.05, 0.1, 0.5
 
 # How much thicker the fluid is that moves with what is long than with what is not: a cylinder and a
 # ball (pi/4 to 1/3 diameters, H. Lamb, Hydrodynamics), a strip and a square plate (1 to 0.579, DNV
-# RP-C205). In between chosen to be linear in width over length: within 5 % for plates. A geom is
-# long beyond the third number: chosen, so that rounding gives no ball a length.
-_LONG_ROUND, _LONG_FLAT, _LONG = 1.36, 0.73, 1.1
+# RP-C205). In between chosen to be linear in width over length: within 5 % for plates. What
+# continues a geom counts in full if that is longer than wide by the third number; chosen.
+_LONG_ROUND, _LONG_FLAT, _LONG = 1.36, 0.73, 0.1
 
 _MOST = 4000  # facets of a plane compared in pairs, at most; else they are one face; chosen
 
@@ -128,14 +128,15 @@ def join_faces(model: mujoco.MjModel, data: mujoco.MjData, facets: np.ndarray) -
         for geom in np.unique(facets["geom"][curved]):
             half, rows = half_extents(model, geom), curved[facets["geom"][curved] == geom]
             width, long = 2 * np.sort(half)[1:]
-            if long > _LONG * width:  # as long as all that continues it
-                axis = data.geom_xmat[geom].reshape(3, 3)[:, half.argmax()]
-                away = points[mine] - data.geom_xpos[geom]
-                along, ends = away @ axis, np.abs(edges[mine] @ axis).sum(axis=1)
-                inside = np.linalg.norm(away - np.outer(along, axis), axis=1) < width
-                inside |= facets["geom"][mine] == geom
-                long = (along + ends)[inside].max() - (along - ends)[inside].min()
-                longer[rows] = _longer(normals[rows], axis, width, long)
+            axis = data.geom_xmat[geom].reshape(3, 3)[:, half.argmax()]
+            away = points[mine] - data.geom_xpos[geom]
+            along, ends = away @ axis, np.abs(edges[mine] @ axis).sum(axis=1)
+            inside = np.linalg.norm(away - np.outer(along, axis), axis=1) < width
+            inside |= facets["geom"][mine] == geom
+            # What continues a long geom makes it longer; what is round has no such direction.
+            whole = (along + ends)[inside].max() - (along - ends)[inside].min()
+            long += min((long / width - 1) / _LONG, 1.0) * max(whole - long, 0.0)
+            longer[rows] = _longer(normals[rows], axis, width, long)
         meshes = np.unique(facets["geom"][curved])
         meshes = meshes[model.geom_type[meshes] == _MESH]
         if len(meshes) < 2:

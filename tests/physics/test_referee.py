@@ -274,9 +274,9 @@ def test_a_wheel_sinks_until_it_bears_its_load():
     given, free = (rows_of(run, [0, 4]) for run in runs.runs[:2])
     sunk = simulate(free, runs.medium, "rft3d_dynamic")
     led = simulate(replace(given, motion=sunk), runs.medium, "rft3d_dynamic")
-    # What is led sinks by 1 % of its way, and its sand does not move along.
+    # What is led sinks by 1 % of its way, so that it bears a little more.
     assert led.lift == pytest.approx(given.motion.lift, rel=0.1)
-    assert led.force == pytest.approx(sunk.force, rel=0.15)
+    assert led.force == pytest.approx(sunk.force, rel=0.12)
     assert np.abs(sunk.side).max() < 1e-3
     assert sunk.force[0] > 3 * abs(sunk.force[1])  # locked, and rolling
 
