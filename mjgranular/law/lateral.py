@@ -1,6 +1,4 @@
-"""Corrections of the fit of `rft3d`: lateral strength, and tilted faces.
-
-**Lateral strength** is passive pressure instead of bearing.
+"""Lateral strength of sand, passive pressure instead of bearing, and that of tilted faces.
 
 A fit of resistive force theory has one ratio of lateral to vertical strength for all sand: an
 upright plate that is dragged meets 0.219 of the stress of a level one that is pushed down. Passive
@@ -37,8 +35,7 @@ from mjgranular.kernel.vector import vector
 RATIO = 0.219
 """Stress of an upright dragged plate over that of a level pushed one, in the fit of `rft3d`."""
 
-TILTED = 0.3
-"""Reduction at a tilt of 45 degrees: the best for 165 measured stresses (docs/laws/rft.md)."""
+TILTED = 0.3  # reduction at 45 degrees: the best for 165 measured stresses (docs/laws/rft.md)
 
 
 def lateral_strength(friction: float) -> float:

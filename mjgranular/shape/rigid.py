@@ -19,11 +19,9 @@ from mjgranular.shape.sizes import half_extents, rod_length
 # five times as wide is open. Chosen, not measured.
 _PARALLEL, _COPLANAR, _GAP, _OPEN = math.cos(math.radians(3)), 0.05, 0.1, 0.5
 
-# How much thicker the fluid is that moves with what is long than with what is not: a cylinder and a
-# ball (pi/4 to 1/3 diameters, H. Lamb, Hydrodynamics), a strip and a square plate (1 to 0.579, DNV
-# RP-C205). In between chosen to be linear in width over length: within 5 % for plates. What
-# continues a geom counts in full if that is longer than wide by the third number; chosen.
-_LONG_ROUND, _LONG_FLAT, _LONG = 1.36, 0.73, 0.1
+# G of (A0): how much thicker fluid moves with a cylinder than a ball (pi/4 to 1/3 diameters: Lamb,
+# Hydrodynamics), with a strip than a square plate (1 to 0.579: DNV RP-C205).
+_LONG_ROUND, _LONG_FLAT = 1.36, 0.73
 
 _MOST = 4000  # facets of a plane compared in pairs, at most; else they are one face; chosen
 
@@ -43,6 +41,7 @@ _WALLS, _CHORDS, _CHORD = 4, 4, math.radians(22.5)
 
 _SHOWN, _ALONE = (np.array(groups, np.uint8) for groups in ([1, 1, 0, 0, 0, 0], [1, 0, 0, 0, 0, 0]))
 _MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
+_RODS = (int(mujoco.mjtGeom.mjGEOM_CAPSULE), int(mujoco.mjtGeom.mjGEOM_CYLINDER))
 
 Arc = tuple[float, np.ndarray]
 """Start of arcs around a hinge: radius [m], and axes out, around and along, as rows."""
@@ -90,12 +89,7 @@ def join_faces(model: mujoco.MjModel, data: mujoco.MjData, facets: np.ndarray) -
     all of them together. Sand in a narrow gap moves with the body and is part of the face, so the
     facets on both sides get half of the gap each, and less of wider ones.
 
-    In front of a face of the width w and the length l a layer moves along as if it were
-
-        w (1 + G (1 - w/l) (1 - (n.e)^2))                                                  (A0)
-
-    wide, with the direction e of the length and the normal n of the facet.
-
+    The layer that moves along is that of a wider face if the face is long: `layer`, eq. (A0).
     `data` is of `in_own_frames`; `width` of facets is their geom's. Sets `face`, `layer`, `area`.
     """
     points, normals, edges = _placed(data, facets)
@@ -127,15 +121,11 @@ def join_faces(model: mujoco.MjModel, data: mujoco.MjData, facets: np.ndarray) -
         curved = mine[~is_flat]
         for geom in np.unique(facets["geom"][curved]):
             half, rows = half_extents(model, geom), curved[facets["geom"][curved] == geom]
-            width, long = 2 * np.sort(half)[1:]
-            axis = data.geom_xmat[geom].reshape(3, 3)[:, half.argmax()]
-            away = points[mine] - data.geom_xpos[geom]
-            along, ends = away @ axis, np.abs(edges[mine] @ axis).sum(axis=1)
-            inside = np.linalg.norm(away - np.outer(along, axis), axis=1) < width
-            inside |= facets["geom"][mine] == geom
-            # What continues a long geom makes it longer; what is round has no such direction.
-            whole = (along + ends)[inside].max() - (along - ends)[inside].min()
-            long += min((long / width - 1) / _LONG, 1.0) * max(whole - long, 0.0)
+            (width, long), along = 2 * np.sort(half)[1:], half.argmax()
+            if model.geom_type[geom] in _RODS:
+                long = max(_rod_through(model, data, geom, facets["geom"][mine]), width)
+                along = 2
+            axis = data.geom_xmat[geom].reshape(3, 3)[:, along]
             longer[rows] = _longer(normals[rows], axis, width, long)
         meshes = np.unique(facets["geom"][curved])
         meshes = meshes[model.geom_type[meshes] == _MESH]
@@ -409,5 +399,19 @@ def _extents(points: np.ndarray, edges: np.ndarray, areas: np.ndarray) -> tuple[
 
 
 def _longer(normals: np.ndarray, axis: np.ndarray, width: float, long: float) -> np.ndarray:
-    """Return G (1 - w/l) (1 - (n.e)^2) of (A0) for round skin."""
+    """Return G (1 - w/l) (1 - (n.e)^2) of layer = w (1 + ...) (A0), for round skin."""
     return _LONG_ROUND * (1 - width / long) * (1 - (normals @ axis) ** 2)
+
+
+def _rod_through(model: mujoco.MjModel, data: mujoco.MjData, geom: int, geoms: np.ndarray) -> float:
+    """Return the length of a capsule or cylinder and what continues it, as wide, to `_GAP` [m]."""
+    rods = np.array([g for g in np.unique(geoms) if model.geom_type[g] in _RODS])
+    axis, slack = data.geom_xmat[geom].reshape(3, 3)[:, 2], 2 * _GAP * model.geom_size[geom, 0]
+    away = data.geom_xpos[rods] - data.geom_xpos[geom]
+    along, ends = away @ axis, np.array([half_extents(model, g)[2] for g in rods])
+    one = np.linalg.norm(away - np.outer(along, axis), axis=1) < slack
+    one &= abs(model.geom_size[rods, 0] - model.geom_size[geom, 0]) < slack / 2
+    one &= abs(data.geom_xmat[rods].reshape(-1, 3, 3)[:, :, 2] @ axis) > _PARALLEL
+    rods, low, high = rods[one], (along - ends)[one, None], (along + ends)[one, None]
+    (part,) = (p for p in _connected(low, high, slack) if geom in rods[p])
+    return float(high[part].max() - low[part].min())

@@ -300,8 +300,11 @@ def test_layers_are_thick_before_what_is_long():
 
     rod = '<geom type="capsule" size="0.01" fromto="{} 0 0 {} 0 0"/>'
     one, cut = rod.format(0, 0.18), "".join(rod.format(x, x + 0.06) for x in (0, 0.06, 0.12))
-    for geoms in (one, cut):  # of a rod of ten diameters
-        assert ratio(geoms) == pytest.approx(1 + 1.36 * 0.9, rel=0.01)
+    slices = '<geom type="cylinder" size="0.01 0.005" pos="{} 0 0" euler="0 90 0"/>'
+    discs = "".join(slices.format(x) for x in np.arange(0.005, 0.2, 0.01))
+    far = one + rod.format(0.3, 0.5) + '<geom type="capsule" size="0.003" fromto="0 0 0 -1 0 0"/>'
+    for geoms in (one, cut, discs, far):  # of a rod of ten diameters
+        assert ratio(geoms)[0] == pytest.approx(1 + 1.36 * 0.9, rel=0.01)
     assert ratio('<geom size="0.01"/>') == pytest.approx(1.0)
     plate = '<geom type="box" size="0.02 0.01 0.005"/>'
     assert ratio(plate) == pytest.approx(1 + 0.73 * 0.5, rel=0.01)
