@@ -25,8 +25,8 @@ _HEAD = """# Accuracy of the laws
 
 The default law, `{law}`, against all measurements in the repository. *Bias* is the mean of the
 relative errors, positive if the law gives too much; *spread* is their standard deviation. *Blind*
-data played no part in the law: drops and tilted bodies were simulated after its last change, the
-others before it, but nobody had looked at them. Runs that a constant was fitted to are not counted.
+data played no part in the law: drops and tilted bodies were simulated after the last change that
+affects them, at the others nobody had looked. Runs that a constant was fitted to are not counted.
 
 {quantities}
 
