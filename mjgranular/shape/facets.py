@@ -98,7 +98,8 @@ def facets_from_model(
             facets = (
                 patches.gathered(corners, fine) if meshes == "patches" else patches.single(corners)
             )
-            flat = patches.flatness(facets, sizes.geom_width(model, geom))
+            width = sizes.geom_width(model, geom)
+            flat = patches.flatness(facets.points, facets.normals, facets.areas, width)
         else:
             skin = _skin(model, geom, fine)
             if hidden == "drop":
@@ -125,6 +126,10 @@ def facets_from_model(
         part["flat"] = flat
     facets, own = np.concatenate(parts), in_own_frames(model)
     sizes.set_bodies(model, facets)
+    exposed = np.ones(len(facets))
+    if sheltered == "drop":
+        exposed = exposures(model, own, facets)
+        facets, exposed = facets[exposed > 0], exposed[exposed > 0]
     if meshes == "patches":
         join_faces(model, own, facets)
     else:
@@ -132,8 +137,7 @@ def facets_from_model(
     widest = np.zeros(model.ngeom)
     np.maximum.at(widest, facets["geom"], facets["face"])
     facets["width"] = widest[facets["geom"]]
-    if sheltered == "drop":
-        facets["area"] *= exposures(model, own, facets)
+    facets["area"] *= exposed
     return facets[facets["area"] > 0]
 
 

@@ -104,7 +104,9 @@ def single(corners: np.ndarray) -> Facets:
     return Facets(corners.mean(axis=1), vectors / areas[:, None], areas, nothing, nothing)
 
 
-def flatness(facets: Facets, width: float) -> np.ndarray:
+def flatness(
+    points: np.ndarray, normals: np.ndarray, areas: np.ndarray, width: float
+) -> np.ndarray:
     """Return the fraction of a mesh's projection in each facet's direction that is one flat face.
 
     That is the area of what is nearly in the facet's plane, relative to the area of the whole mesh
@@ -112,17 +114,16 @@ def flatness(facets: Facets, width: float) -> np.ndarray:
     and a ball.
     """
     # A sample is sufficient for a ratio of areas.
-    some = slice(None, None, -(-len(facets.points) // _ENOUGH) or 1)
-    points, normals, areas = facets.points[some], facets.normals[some], facets.areas[some]
-    found = np.zeros(len(facets.points))
+    some = slice(None, None, -(-len(points) // _ENOUGH) or 1)
+    found = np.zeros(len(points))
     for first in range(0, len(found), _ENOUGH):
-        here = slice(first, first + _ENOUGH)
-        along = facets.normals[here] @ normals.T
-        height = np.einsum("ni,ni->n", facets.normals[here], facets.points[here])[:, None]
-        near = np.abs(facets.normals[here] @ points.T - height) < _COPLANAR * width
-        face = (areas * along * ((along > _PARALLEL) & near)).sum(axis=1)
-        shown = 0.5 * (areas * np.abs(along)).sum(axis=1)
-        found[here] = face / np.maximum(shown, face + 1e-300)
+        n, at = normals[first : first + _ENOUGH], points[first : first + _ENOUGH]
+        along = n @ normals[some].T
+        height = np.einsum("ni,ni->n", n, at)[:, None]
+        near = np.abs(n @ points[some].T - height) < _COPLANAR * width
+        face = (areas[some] * along * ((along > _PARALLEL) & near)).sum(axis=1)
+        shown = 0.5 * (areas[some] * np.abs(along)).sum(axis=1)
+        found[first : first + _ENOUGH] = face / np.maximum(shown, face + 1e-300)
     return np.maximum(found - _CURVED, 0.0) / (1.0 - _CURVED)
 
 

@@ -12,6 +12,8 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
+from mjgranular.shape.patches import flatness
+from mjgranular.shape.shells import mesh_arrays
 from mjgranular.shape.sizes import half_extents, rod_length
 
 # Facets belong to one flat face if their normals differ by less than 3 degrees, their planes by a
@@ -100,6 +102,9 @@ def join_faces(model: mujoco.MjModel, data: mujoco.MjData, facets: np.ndarray) -
         mine = np.flatnonzero(welds == weld)
         # From the largest facet on, then by position: independent of the order of geoms.
         mine = mine[np.lexsort([*points[mine].T.round(9), -areas[mine].round(12)])]
+        joined = list(_joined(model, data, facets, mine, points, edges))
+        for rows, _, width, _ in joined:
+            facets["flat"][rows] = flatness(points[rows], normals[rows], areas[rows], width)
         is_flat = facets["flat"][mine] >= 0.5
         left = mine[is_flat]
         while len(left):
@@ -127,21 +132,9 @@ def join_faces(model: mujoco.MjModel, data: mujoco.MjData, facets: np.ndarray) -
                 along = 2
             axis = data.geom_xmat[geom].reshape(3, 3)[:, along]
             longer[rows] = _longer(normals[rows], axis, width, long)
-        meshes = np.unique(facets["geom"][curved])
-        meshes = meshes[model.geom_type[meshes] == _MESH]
-        if len(meshes) < 2:
-            continue
-        reach = np.abs(edges[mine]).sum(axis=1)
-        low, high = points[mine] - reach, points[mine] + reach
-        own = [facets["geom"][mine] == geom for geom in meshes]
-        low = np.array([low[m].min(0) for m in own])
-        high = np.array([high[m].max(0) for m in own])
-        for part in _connected(low, high, _GAP * widths[mine].max()):
-            if len(part) > 1:
-                rows = mine[np.isin(facets["geom"][mine], meshes[part])]
-                round_ = rows[facets["flat"][rows] < 0.5]
-                axis, width, long = _extents(points[rows], edges[rows], areas[rows])
-                widths[round_], longer[round_] = width, _longer(normals[round_], axis, width, long)
+        for rows, axis, width, long in joined:
+            rows = rows[facets["flat"][rows] < 0.5]
+            widths[rows], longer[rows] = width, _longer(normals[rows], axis, width, long)
     facets["layer"] = widths * (1 + longer)
 
 
@@ -389,13 +382,36 @@ def _width_of(at: np.ndarray, half: np.ndarray, areas: np.ndarray) -> tuple[floa
     return float(area / length), float(_LONG_FLAT * (1 - area / length**2))
 
 
-def _extents(points: np.ndarray, edges: np.ndarray, areas: np.ndarray) -> tuple[Any, float, float]:
-    """Return the longest principal axis of facets, and their second and largest extents [m]."""
-    away = points - areas @ points / areas.sum()
-    axes = np.linalg.eigh(np.einsum("n,ni,nj->ij", areas, away, away))[1]
-    at, reach = away @ axes, np.abs(edges @ axes).sum(axis=1)
-    extents = (at + reach).max(axis=0) - (at - reach).min(axis=0)
-    return axes[:, extents.argmax()], *np.sort(extents)[1:]
+def _joined(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    facets: np.ndarray,
+    mine: np.ndarray,
+    points: np.ndarray,
+    edges: np.ndarray,
+) -> Iterator[tuple[np.ndarray, np.ndarray, float, float]]:
+    """Yield the facets of meshes that touch, their longest axis, second and largest extents [m]."""
+    mine = mine[model.geom_type[facets["geom"][mine]] == _MESH]
+    geoms, own = np.unique(facets["geom"][mine], return_inverse=True)
+    if len(geoms) < 2:
+        return
+    reach, shape = np.abs(edges[mine]).sum(axis=1), (len(geoms), 3)
+    low, high = np.full(shape, np.inf), np.full(shape, -np.inf)
+    np.minimum.at(low, own, points[mine] - reach)
+    np.maximum.at(high, own, points[mine] + reach)
+    for part in _connected(low, high, _GAP * facets["width"][mine].max()):
+        if len(part) < 2:
+            continue
+        rows = mine[np.isin(own, part)]
+        areas = facets["area"][rows]
+        away = points[rows] - areas @ points[rows] / areas.sum()
+        axes = np.linalg.eigh(np.einsum("n,ni,nj->ij", areas, away, away))[1]
+        corners = [
+            data.geom_xpos[g] + mesh_arrays(model, g)[0] @ data.geom_xmat[g].reshape(3, 3).T
+            for g in geoms[part]
+        ]
+        extents = np.ptp(np.concatenate(corners) @ axes, axis=0)
+        yield rows, axes[:, extents.argmax()], *np.sort(extents)[1:]
 
 
 def _longer(normals: np.ndarray, axis: np.ndarray, width: float, long: float) -> np.ndarray:

@@ -310,6 +310,30 @@ def test_layers_are_thick_before_what_is_long():
     assert ratio(plate) == pytest.approx(1 + 0.73 * 0.5, rel=0.01)
 
 
+@pytest.mark.parametrize("count", [4, 16])
+def test_a_mesh_in_wedges_is_as_wide_as_in_one(count):
+    turns = 2 * math.pi * np.arange(49) / 48
+
+    def means(*edges):
+        """Area and mean widths of the level faces and of the rim of a disc, cut at these edges."""
+        asset = geoms = ""
+        for first, end in zip(edges, edges[1:], strict=False):
+            rim = np.c_[np.cos(turns[first : end + 1]), np.sin(turns[first : end + 1])] * 0.05
+            rim = np.vstack([rim, (0.0, 0.0)])
+            points = [(x, y, z) for z in (-0.01, 0.01) for x, y in rim]
+            asset += f'<mesh name="{first}" vertex="{" ".join(map(str, np.ravel(points)))}"/>'
+            geoms += f'<geom type="mesh" mesh="{first}"/>'
+        model = model_of(geoms, f"<asset>{asset}</asset>")
+        facets = facets_from_model(model, range(model.ngeom))
+        for part in (level := abs(facets["normal"][:, 2]) > 0.9, ~level):
+            areas = facets["area"][part]
+            yield areas.sum()
+            yield from (areas @ facets[name][part] / areas.sum() for name in ("face", "layer"))
+
+    pieces = means(*range(0, 49, 48 // count))
+    assert list(pieces) == pytest.approx(list(means(0, 48)), rel=0.01)
+
+
 def test_sides_of_two_bodies_do_not_shelter_each_other():
     model = mujoco.MjModel.from_xml_string("""
     <mujoco><worldbody>
