@@ -7,7 +7,7 @@ divided into more geoms stays the same body.
 import copy
 import math
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import mujoco
 import numpy as np

@@ -1,6 +1,7 @@
 """Faces of rigid bodies: one body however it is cut into geoms, and shelter against grains."""
 
 import csv
+import itertools
 import math
 from pathlib import Path
 
@@ -317,7 +318,7 @@ def test_a_mesh_in_wedges_is_as_wide_as_in_one(count):
     def means(*edges):
         """Area and mean widths of the level faces and of the rim of a disc, cut at these edges."""
         asset = geoms = ""
-        for first, end in zip(edges, edges[1:], strict=False):
+        for first, end in itertools.pairwise(edges):
             rim = np.c_[np.cos(turns[first : end + 1]), np.sin(turns[first : end + 1])] * 0.05
             rim = np.vstack([rim, (0.0, 0.0)])
             points = [(x, y, z) for z in (-0.01, 0.01) for x, y in rim]
