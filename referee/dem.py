@@ -3,6 +3,7 @@
     python referee/dem.py bed  FOLDER --size 0.09 0.06 0.072
     python referee/dem.py drop FOLDER NAME --shape sphere --diameter 0.024 --mass 0.0362 --speed 1
     python referee/dem.py push FOLDER NAME --shape plate --length 0.02 --diameter 0.005 --speed 0.1
+    python referee/dem.py push FOLDER NAME --shape plate --course 18
     python referee/dem.py drag FOLDER NAME --shape plate --length 0.016 --speed 0.3 1
     python referee/dem.py tandem FOLDER NAME --length 0.016 --diameter 0.004 --gaps 0.25 0.5 1
 
@@ -76,7 +77,10 @@ def main(words: list[str] | None = None) -> None:
         if intruder.body["shape"] == "capsule":
             names.append("pitch [deg]")
         columns = [0, 1, 2, 3, 5][: len(names)]
-        write_thin(table, names, found[:, columns], averaged=["force [N]"])
+        if options.course != 90.0:
+            names, columns = [*names, "drag [N]"], [*columns, 4]
+            found[:, 4] *= -1
+        write_thin(table, names, found[:, columns], averaged=["force [N]", "drag [N]"])
     _keep(table.with_suffix(".json"), bed, intruder, options, len(rows), time.time() - begin)
 
 
@@ -175,6 +179,9 @@ def _parser() -> argparse.ArgumentParser:
             default=0.0,
             help="of a rod or a plate's normal [deg]",
         )
+        part.add_argument(
+            "--course", type=float, default=90.0, help="of a push, below the horizontal [deg]"
+        )
         part.add_argument("--duration", type=float, default=0.12, help="of a drop, at most [s]")
         part.add_argument("--depth", type=float, default=0.03, help="of a push; of a drag [m]")
         part.add_argument("--distance", type=float, default=0.05, help="of a drag [m]")
@@ -264,7 +271,9 @@ def _script(
     single = len(intruder.centers) == 1
     step = bed.grains.timestep(options.stiffness)
     drawn = _is_drawn(options)
-    travel = options.distance + _RAMP if drawn else options.depth + 0.004
+    course = math.radians(options.course)
+    down, ahead = speed * math.sin(course), speed * math.cos(course)
+    travel = options.distance + _RAMP if drawn else (options.depth + 0.004) * speed / down
     duration = options.duration if free else travel / speed
     steps = round(duration / step)
     every = _EVERY * max(1, steps // (_EVERY * 4 * _ROWS))
@@ -340,7 +349,7 @@ def _script(
             "fix fall intruder move variable v_way v_none v_none v_speed v_none v_none",
         ]
     else:
-        parts.append(f"fix fall intruder move linear 0 0 {-v:g}")
+        parts.append(f"fix fall intruder move linear {ahead:g} 0 {-down:g}")
         # Set the speed of moved bodies as well as their position: friction and damping read it.
     low, high = count + 1, count + len(intruder.centers)
     each = len(intruder.centers) // len(intruder.places)
@@ -421,7 +430,7 @@ def write_thin(path: Path, names: list[str], rows: np.ndarray, averaged: list[st
     """Write at most `_ROWS` rows; the columns in `averaged` are means over the omitted rows."""
     picks = np.unique(np.linspace(0, len(rows) - 1, min(_ROWS, len(rows))).round().astype(int))
     thin = rows[picks].copy()
-    for name in averaged:
+    for name in set(averaged) & set(names):
         k = names.index(name)
         for i, (begin, end) in enumerate(pairwise(picks), start=1):
             thin[i, k] = rows[begin + 1 : end + 1, k].mean()

@@ -1,4 +1,4 @@
-"""Lateral strength of sand, passive pressure instead of bearing, and that of tilted faces.
+"""Lateral strength of sand, passive pressure instead of bearing, and what measured plates meet.
 
 A fit of resistive force theory has one ratio of lateral to vertical strength for all sand: an
 upright plate that is dragged meets 0.219 of the stress of a level one that is pushed down. Passive
@@ -19,10 +19,12 @@ grow with the normal part, and T <= G for any L: a dissipative stress stays diss
 motion and level faces are unchanged. The brackets are chosen, by dragged bodies in simulated
 grains, legs and a robot (docs/laws/rft.md).
 
-**Tilted faces** that move up or down are resisted less than in that fit, in all five media of Li,
-Zhang and Goldman, Science 339, 1408 (2013). The stress is multiplied by
+**Plates** in the five media of Li, Zhang and Goldman, Science 339, 1408 (2013), are resisted less
+than in that fit if they are tilted and move up or down, and more if they lead by a small angle, but
+do not move horizontally. The stress is multiplied by K J,
 
-    K = 1 - 0.3 (4 n_z^2 (1 - n_z^2)) (1 - (1 - u_z^2)^2).                             (S4)
+    K = 1 - 0.3 (4 n_z^2 (1 - n_z^2)) (1 - (1 - u_z^2)^2),                             (S4)
+    J = 1 + n_z^2 (1 - (n.u)^2)^8 (1 - (1 - u_z^2)^16).                                (S5)
 """
 
 import math
@@ -78,17 +80,28 @@ def lateral_slope(slope: Any) -> Any:
     return of_lateral
 
 
-def tilted_slope(slope: Any) -> Any:
-    """Make the `slope` of a law (`RftLaw`) by (S4)."""
+def plate_slope(slope: Any) -> Any:
+    """Make the `slope` of a law (`RftLaw`) by (S4) and (S5)."""
 
     @partial(compiled, inline=True)
-    def of_tilted(law, g, rise, down, lead):
+    def of_plate(law, g, rise, down, lead):
         strength, f, by_rise, by_down, by_lead = slope(law, g, rise, down, lead)
-        n_2, across = down * down, 1.0 - rise * rise
-        tilted, steep = TILTED * 4.0 * n_2 * (1.0 - n_2), 1.0 - across * across
-        k = 1.0 - tilted * steep
-        k_rise = -4.0 * tilted * across * rise
+        n_2, across, aslant = down * down, 1.0 - rise * rise, 1.0 - lead * lead
+        across_2, aslant_2 = across * across, aslant * aslant
+        across_4, aslant_4 = across_2 * across_2, aslant_2 * aslant_2
+        across_8, aslant_8 = across_4 * across_4, aslant_4 * aslant_4
+        across_15, aslant_7 = across_8 * across_4 * across_2 * across, aslant_4 * aslant_2 * aslant
+        tilted, steep = TILTED * 4.0 * n_2 * (1.0 - n_2), 1.0 - across_2
+        k, not_level = 1.0 - tilted * steep, 1.0 - across_8 * across_8
+        more = n_2 * aslant_8
+        j, kj = 1.0 + more * not_level, k * (1.0 + more * not_level)
+        k_rise, j_rise = -4.0 * tilted * across * rise, 32.0 * more * across_15 * rise
         k_down = -8.0 * TILTED * steep * (down - 2.0 * n_2 * down)
-        return strength, k * f, k * by_rise + k_rise * f, k * by_down + k_down * f, k * by_lead
+        kj_rise = k_rise * j + k * j_rise
+        kj_down = k_down * j + k * (2.0 * down * aslant_8 * not_level)
+        kj_lead = k * (-16.0 * n_2 * aslant_7 * lead * not_level)
+        by_rise = kj * by_rise + kj_rise * f
+        by_down = kj * by_down + kj_down * f
+        return strength, kj * f, by_rise, by_down, kj * by_lead + kj_lead * f
 
-    return of_tilted
+    return of_plate
