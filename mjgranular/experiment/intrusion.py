@@ -92,6 +92,11 @@ class Intrusion:
             raise InputError(f"points must be at most {_MOST_POINTS}, not {self.points}")
         if self.geom is not None and self.model is None:
             raise InputError("--geom is the name of a geom of a model: give the model too")
+        for name in ("intruder", "size") if self.model is not None else ():
+            if getattr(self, name) != getattr(Intrusion, name):
+                raise InputError(f"the intruder is a shape or of a model: omit --model or --{name}")
+        if self.distance is not None and self.depth != Intrusion.depth:
+            raise InputError("--depth and --distance both determine the end of the path: omit one")
         _ = self.length
 
     @property
