@@ -246,6 +246,14 @@ def test_a_fast_push_accelerates_the_sand_that_moves_along():
     assert simulate(push, "quikrete_medium").force.sum() == pytest.approx(means.sum(), rel=0.01)
 
 
+@pytest.mark.parametrize(("size", "speed"), [(3.0, 0.01), (0.04, 1e-6)])
+def test_the_sand_does_not_stop_a_body_that_is_pushed(size, speed):
+    made = run_intrusion(Intrusion(size=size, speed=speed, depth=size, points=11))
+    columns = {"depth": made.depth[9:], "force": made.force[9:, 0]}
+    push = Run("push", "intrude", columns, body=Body("plate", size / 10, size), speed=speed)
+    assert simulate(push, "quikrete_medium").force[0] == pytest.approx(made.force[9, 0], rel=1e-3)
+
+
 def test_a_vertical_push_has_no_lift_under_the_link_law():
     down = run_intrusion(Intrusion("capsule", law="link", medium="play_sand", points=3))
     assert down.force[:, 1:] == pytest.approx(np.zeros((3, 2)), abs=0.0)
