@@ -113,7 +113,7 @@ class Run:
         data: a CSV file, or columns by their names, in SI units and degrees; read into `motion`.
         body: the body that meets the sand: a shape, or an MJCF file; for "model" it is `model`.
         speed: downward, when the lowest point touches the sand (in `simulate` at the first row),
-            or of a push, by default 0.01 m/s [m/s]; of a turn [rad/s].
+            or of a push, by default the mean of its column, or 0.01 m/s; of a turn [rad/s].
         angle: initial angle of the body's axis from the vertical [rad].
         depth: depth of a drag [m].
         columns: headings in the file of columns with other names, by column name.
@@ -165,13 +165,15 @@ class Run:
             raise self.error("the angle from the vertical must be from -90 to 90 degrees")
         if self.kind == "drop" and self.speed is None:
             raise self.error("a drop needs the speed at which it meets the sand")
-        speed = self.speed or (_PUSH_SPEED if self.kind == "intrude" else 0.0)
-        if speed < 0 and self.kind != "turn":
-            raise self.error(f"the downward speed must not be negative, got {speed}")
-        object.__setattr__(self, "speed", speed)
         if data is not None:
             object.__setattr__(self, "motion", self._read(data, columns))
         self._check_motion()
+        speed, measured = self.speed or 0.0, self.motion.speed
+        if self.kind == "intrude" and not speed:
+            speed = _PUSH_SPEED if measured is None else float(measured.mean())
+        if speed < 0 and self.kind != "turn":
+            raise self.error(f"the downward speed must not be negative, got {speed}")
+        object.__setattr__(self, "speed", speed)
 
     def error(self, problem: str) -> InputError:
         """Return an error that names the run."""
@@ -214,7 +216,8 @@ class Run:
         """Read the columns that a fit takes, in SI units and degrees."""
         needed, optional = COLUMNS[self.kind]
         if not isinstance(self.body, Path):
-            optional = tuple(name for name in optional if name in ("pitch", "lift"))
+            pushed = self.kind == "intrude"
+            optional = tuple(name for name in optional if pushed or name in ("pitch", "lift"))
         if not isinstance(data, Mapping):
             return motion_of(read_table(Path(data), needed, optional, columns), self.depth)
         for column in needed:

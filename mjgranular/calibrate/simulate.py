@@ -31,6 +31,8 @@ TIMESTEP = 5e-5
 _SAMPLES = 1e-4  # time between two samples [s]
 _LONGER = 0.1  # time after the end of the run within which the body may stop [s]
 _HEAVY = 1e6  # inertia of a body that keeps its angle [kg m^2]; chosen
+_PUSHED = 1e12  # mass or inertia of a body that is pushed [kg, kg m^2]; chosen
+_MOST_STEPS = 1000  # of a push between two rows; chosen
 _HEAVY_BODY = 1e4  # mass or inertia of a body that keeps its speed [kg, kg m^2]; chosen
 _SETTLES = 0.01  # sinking speed of a wheel of given sinkage, in parts of its speed; chosen
 _ROLLED, _ROLL_STEP = 0.2, 1e-2  # path [m] and step [s]; halving either changes 3 % at most
@@ -116,7 +118,7 @@ class Simulator:
         self._binding.bodies["last_wrench"] = np.nan
         mujoco.mj_fwdPosition(model, data)
         mujoco.mj_fwdVelocity(model, data)
-        self._act(0.0)
+        self._act(self._prepared.scheme.lead * model.opt.timestep)
         total = data.xfrc_applied[:, :3].sum(axis=0)
         data.xfrc_applied[:] = 0.0
         return total
@@ -178,9 +180,8 @@ def _simulator_of(run: Run, way: str, timestep: float) -> Simulator:
             joint.armature = _HEAVY
     elif way in ("push", "press"):
         spec.option.timestep = timestep
-        spec.body("link").mass = _HEAVY_BODY
-        for joint in hinges:  # else the body would turn during each step
-            joint.armature = _HEAVY_BODY
+        for joint in spec.joints:
+            joint.armature = _PUSHED
     elif way == "sink":
         spec.option.timestep = _ROLL_STEP
         for name in ("x", "y", "turn"):
@@ -243,20 +244,14 @@ def lowest_depth(body: Projectile, qpos: np.ndarray) -> float:
 def _forces_of_push(run: Run, simulator: Simulator, depths: np.ndarray) -> np.ndarray:
     """Return the forces on a body pushed at constant speed, with the sand's inertia, at depths [N].
 
-    The body is heavy and is put back on its path after each step; the force is the momentum that
-    the sand took from it. Its weight is carried: if it fell during the step, the sand that moves
-    along would be accelerated with it.
+    The body is so heavy that it keeps its speed.
     """
-    data, timestep = simulator.data, simulator.model.opt.timestep
-    weight = -float(simulator.model.body_subtreemass[0] * simulator.model.opt.gravity[2])
     assert isinstance(run.body, Projectile)
     place, forces = run.body.touching(run.angle), []
     for depth in depths:
-        data.qpos[:], data.qvel[:], data.qacc_warmstart[:] = place, (0.0, -run.speed, 0.0), 0.0
-        data.qpos[1] -= depth
-        data.qfrc_applied[1] = weight
-        simulator.step()
-        forces.append(_HEAVY_BODY * (data.qvel[1] + run.speed) / timestep)
+        simulator.reset(place, np.array([0.0, -run.speed, 0.0]))
+        simulator.data.qpos[1] -= depth
+        forces.append(simulator.force()[2])
     return np.array(forces)
 
 
@@ -265,7 +260,7 @@ def _push(run: Run, simulator: Simulator) -> Motion:
     depths, step = run.motion.depth, run.speed * simulator.model.opt.timestep
     force = [_forces_of_push(run, simulator, depths[:1])[0]]
     for before, depth in pairwise(depths):
-        count = max(1, round(abs(depth - before) / step))
+        count = round(np.clip(abs(depth - before) / step, 1, _MOST_STEPS))
         way = before + (depth - before) * (np.arange(count) + 0.5) / count
         force.append(_forces_of_push(run, simulator, way).mean())
     return Motion(depth=depths, speed=np.full(len(depths), run.speed), force=np.array(force))

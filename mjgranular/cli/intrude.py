@@ -6,8 +6,8 @@ from pathlib import Path
 
 from mjgranular._util.result_folder import CONFIG, SUMMARY
 from mjgranular.cli.console import note, out, print_json, table
-from mjgranular.cli.options import OutputOptions, collected, given_options, options_of
-from mjgranular.errors import GranularError, InputError
+from mjgranular.cli.options import OutputOptions, collected, options_of
+from mjgranular.errors import GranularError
 from mjgranular.experiment.intrusion import Intrusion, IntrusionResult, run_intrusion
 from mjgranular.picture.figures import draw_intrusion
 
@@ -43,13 +43,6 @@ class IntrudeCommand(OutputOptions, options_of(Intrusion)):
                 with collected(problems):
                     folder.write(_FIGURE, lambda path: draw_intrusion(path, *drawn, title=title))
         return self.finish(problems)
-
-    def experiment(self) -> Intrusion:
-        for name in given_options(self, "intruder", "size") if self.model is not None else ():
-            raise InputError(f"the intruder is a shape or of a model: omit --model or --{name}")
-        if self.distance is not None and given_options(self, "depth"):
-            raise InputError("--depth and --distance both determine the end of the path: omit one")
-        return super().experiment()
 
     def _show(self, result: IntrusionResult) -> None:
         rows = result.rows()

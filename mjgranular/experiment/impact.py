@@ -13,7 +13,7 @@ from mjgranular.errors import InputError, UnstableError, listed, shown, warn_use
 from mjgranular.experiment.sampling import REST_WINDOW, Recorder, RestWatch, Sampler, StopWatch
 from mjgranular.experiment.trajectory import Trajectory, degrees
 from mjgranular.law import get_law
-from mjgranular.law.link import LINK_KEYS, DistributedLinkLaw, LinkLaw
+from mjgranular.law.link import DistributedLinkLaw, LinkLaw
 from mjgranular.medium import get_medium
 from mjgranular.models import Projectile
 from mjgranular.models.projectile import Shape
@@ -143,13 +143,13 @@ class Impact:
         """
         link = self.link
         medium = get_medium(self.medium)
-        if not isinstance(get_law(self.law, medium), (LinkLaw, DistributedLinkLaw)):
+        law = get_law(self.law, medium)
+        if not isinstance(law, (LinkLaw, DistributedLinkLaw)):
             return math.inf  # no bound is known for the others
-        eta_d = medium.constants_for("link")[LINK_KEYS[0]]
         at_release = math.hypot(self.speed, self.tangential_speed)
         at_release += abs(self.angular_velocity) * link.length
         speed = math.sqrt(at_release**2 + 2 * 9.81 * (self.height + link.length))
-        quadratic = eta_d * medium.density.value * link.diameter * link.length
+        quadratic = law.eta_d * medium.density.value * link.diameter * link.length
         rate = 2 * quadratic * speed / link.mass
         # Adams-Bashforth of second order is stable up to there.
         return math.inf if rate == 0 else 1 / rate

@@ -12,12 +12,13 @@ from mjgranular._util.checks import check_count, check_kind, is_finite
 from mjgranular.errors import InputError, UnknownNameError, shown
 from mjgranular.experiment.drop import loading
 from mjgranular.experiment.trajectory import degrees
+from mjgranular.law import get_law
+from mjgranular.medium import get_medium
 from mjgranular.sand import Sand
 from mjgranular.scheme import Explicit
 from mjgranular.shape.select import find_all
 
 Intruder = Literal["plate", "sphere", "cylinder", "capsule", "box"]
-_BODY = "intruder"
 _FORCES = ("resistance", "lift", "sideways")
 _SHAPES = {
     "plate": (mujoco.mjtGeom.mjGEOM_BOX, (1.0, 1.0, 0.1)),
@@ -29,6 +30,7 @@ _SHAPES = {
 """Type and size of each intruder, in halves of `Intrusion.size`."""
 
 _MOST_POINTS = 100_000  # chosen: about a minute
+_HEAVY, _STEP = 1e12, 1e-5  # inertia of what keeps its motion [kg, kg m^2], time step [s]; chosen
 
 
 @dataclass(frozen=True)
@@ -90,6 +92,11 @@ class Intrusion:
             raise InputError(f"points must be at most {_MOST_POINTS}, not {self.points}")
         if self.geom is not None and self.model is None:
             raise InputError("--geom is the name of a geom of a model: give the model too")
+        for name in ("intruder", "size") if self.model is not None else ():
+            if getattr(self, name) != getattr(Intrusion, name):
+                raise InputError(f"the intruder is a shape or of a model: omit --model or --{name}")
+        if self.distance is not None and self.depth != Intrusion.depth:
+            raise InputError("--depth and --distance both determine the end of the path: omit one")
         _ = self.length
 
     @property
@@ -177,18 +184,22 @@ class IntrusionResult:
 def run_intrusion(intrusion: Intrusion) -> IntrusionResult:
     """Move the intruder along its path and measure forces."""
     check_kind(intrusion, Intrusion, "run_intrusion")
+    law = get_law(intrusion.law, get_medium(intrusion.medium))
     model = _model(intrusion)
+    model.dof_armature[:], model.opt.timestep = _HEAVY, _STEP
+    data = mujoco.MjData(model)
+    mujoco.mj_setConst(model, data)
     sand = Sand(
         model,
         medium=intrusion.medium,
-        law=intrusion.law,
+        law=law,
         geoms=intrusion.geom,
         resolution=intrusion.resolution,
-        scheme=Explicit(prescribed=True),
+        # Only the implicit scheme has the inertia of sand that moves along.
+        scheme="implicit" if law.adds_mass else Explicit(prescribed=True),
     )
-    data = mujoco.MjData(model)
     down, along = math.sin(intrusion.direction), math.cos(intrusion.direction)
-    motion = np.array([along, 0.0, -down])
+    motion = _without_rounding(np.array([along, 0.0, -down]))
     lift = np.array([down, 0.0, along])
     tilted, ids = np.zeros(4), np.unique(sand.elements["body"])
     mujoco.mju_axisAngle2Quat(tilted, [0.0, -1.0, 0.0], intrusion.tilt)
@@ -205,17 +216,16 @@ def run_intrusion(intrusion: Intrusion) -> IntrusionResult:
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         center = data.subtree_com[1]
-        total = sum((body.force for body in bodies), np.zeros(3))
-        turning = np.zeros(3)
-        for body, at in zip(bodies, data.xipos[ids], strict=True):
-            turning += body.moment + np.cross(at - center, body.force)
+        forces = np.array([body.force for body in bodies])
+        turning = np.cross(data.xipos[ids] - center, forces).sum(axis=0)
+        total = forces.sum(axis=0)
         depth.append(max(body.depth for body in bodies))
         force.append([-total @ motion, total @ lift, total[1]])
-        moment.append(turning)
+        moment.append(turning + sum(body.moment for body in bodies))
         valid.append(all(body.valid for body in bodies))
     return IntrusionResult(
         intrusion=intrusion,
-        law=intrusion.law or sand.law.name,
+        law=intrusion.law or law.name,
         elements=len(sand.elements),
         travelled=travelled,
         depth=np.array(depth),
@@ -234,10 +244,10 @@ def _model(intrusion: Intrusion) -> mujoco.MjModel:
     """Make the model of the intruder, on a free joint."""
     if intrusion.model is None:
         spec = mujoco.MjSpec()
-        body = spec.worldbody.add_body(name=_BODY)
+        body = spec.worldbody.add_body(name="intruder")
         body.add_freejoint()
         kind, size = _SHAPES[intrusion.intruder]
-        body.add_geom(name=_BODY, type=kind, size=np.array(size) * intrusion.size / 2)
+        body.add_geom(name="intruder", type=kind, size=np.array(size) * intrusion.size / 2)
         return spec.compile()
     with loading(intrusion.model):
         spec = mujoco.MjSpec.from_file(str(intrusion.model))
@@ -263,11 +273,8 @@ def _model(intrusion: Intrusion) -> mujoco.MjModel:
     for other in others:
         spec.delete(other)
     roots[0].add_freejoint()
-    try:
+    with loading(f"{intrusion.model} as one rigid body"):
         return spec.compile()
-    except ValueError as error:
-        reason = " ".join(str(error).split())
-        raise InputError(f"{intrusion.model} cannot be moved as one rigid body: {reason}") from None
 
 
 def _has_geom(body: Any) -> bool:

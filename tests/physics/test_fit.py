@@ -147,6 +147,14 @@ def test_strength_is_what_a_plate_says():
 PLATE = Body("plate", 0.005, 0.03)
 
 
+def test_a_push_has_the_speed_of_its_column():
+    data = {"depth": [0.01, 0.02], "force": [1.0, 2.0]}
+    measured = Run("push", "intrude", data | {"speed": [1.9, 2.1]}, body=PLATE)
+    assert (measured.speed, measured.froude) == (2.0, pytest.approx(2.1 / np.sqrt(9.81 * 0.03)))
+    assert Run("push", "intrude", data | {"speed": [2.0, 2.0]}, body=PLATE, speed=1.0).speed == 1.0
+    assert Run("push", "intrude", data, body=PLATE).speed == 0.01
+
+
 def pushed(speed, depth, force, angle=0.0):
     data = {"depth": depth, "force": force}
     return Run("push", "intrude", data, body=PLATE, speed=speed, angle=angle)

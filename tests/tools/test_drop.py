@@ -83,6 +83,14 @@ def test_warning_above_the_bound_only():
         run_impact(Impact(timestep=bound * 0.99))
 
 
+def test_the_bound_is_that_of_the_law_with_its_parameters():
+    stronger = "link eta_d=13 eta_h=8 eta_v=22 exponent=1.1"  # play_sand has an eta_d of 6.5
+    bound = Impact(law=stronger).largest_step()
+    assert bound == pytest.approx(Impact().largest_step() / 2)
+    other = Impact(medium="quikrete_medium", law=stronger)  # a medium without these constants
+    assert other.largest_step() == pytest.approx(bound * 2500 / 1550)
+
+
 @given(
     speed=st.floats(0, 50),
     length=st.floats(0.05, 1),

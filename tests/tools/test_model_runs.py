@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from mjgranular import errors
+from mjgranular.calibrate import Body, Run, simulate
 from mjgranular.cli import main
 from mjgranular.experiment import Drop, Impact, run_drop, run_impact
 from mjgranular.experiment.intrusion import Intrusion, run_intrusion
@@ -235,6 +236,27 @@ def test_paths_and_intruders(ball, tmp_path):
         Intrusion(direction=0.0)
     with pytest.raises(errors.InputError, match="never gets"):
         Intrusion(direction=-1.0)
+
+
+def test_a_fast_push_accelerates_the_sand_that_moves_along():
+    made = run_intrusion(Intrusion("sphere", speed=2.0, depth=0.02, points=101))
+    columns = {"depth": made.depth[1:], "force": made.force[1:, 0]}
+    push = Run("push", "intrude", columns, body=Body("sphere", 0.04), speed=2.0)
+    means = (made.force[1:, 0] + made.force[:-1, 0]) / 2  # as those of `simulate`
+    assert simulate(push, "quikrete_medium").force.sum() == pytest.approx(means.sum(), rel=0.01)
+
+
+@pytest.mark.parametrize(("size", "speed"), [(3.0, 0.01), (0.04, 1e-6)])
+def test_the_sand_does_not_stop_a_body_that_is_pushed(size, speed):
+    made = run_intrusion(Intrusion(size=size, speed=speed, depth=size, points=11))
+    columns = {"depth": made.depth[9:], "force": made.force[9:, 0]}
+    push = Run("push", "intrude", columns, body=Body("plate", size / 10, size), speed=speed)
+    assert simulate(push, "quikrete_medium").force[0] == pytest.approx(made.force[9, 0], rel=1e-3)
+
+
+def test_a_vertical_push_has_no_lift_under_the_link_law():
+    down = run_intrusion(Intrusion("capsule", law="link", medium="play_sand", points=3))
+    assert down.force[:, 1:] == pytest.approx(np.zeros((3, 2)), abs=0.0)
 
 
 def test_intrude_writes(tmp_path, capfd):

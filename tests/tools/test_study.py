@@ -96,6 +96,10 @@ def test_other_mistakes():
         Study("block.xml", {"speed": [1.0]})
     with pytest.raises(InputError, match=r"points .*10\.5"):
         Study(Intrusion(), {"points": [10, 10.5]})
+    with pytest.raises(InputError, match="both determine the end"):
+        Study(Intrusion(distance=0.03), {"depth": [0.02, 0.05]})
+    with pytest.raises(InputError, match="omit --model or --size"):
+        Study(Intrusion(model=Path("foot.xml")), {"size": [0.02, 0.05]})
     with pytest.raises(InputError, match="name the law"):
         with_values(Drop(Path("robot.xml")), {"law.scale": 1.0})
     with pytest.raises(InputError, match="behind a medium's name"):
