@@ -31,7 +31,7 @@ from mjgranular.experiment.ground import PlainSand
 from mjgranular.experiment.study import ANGLES
 from mjgranular.experiment.trajectory import degrees
 from mjgranular.law import Law, laws, register_law
-from mjgranular.picture.video import Film, write_video
+from mjgranular.picture.video import Film, Frames, write_video
 from mjgranular.shape.rods import CHOOSE
 
 _METAVARS = {str: "NAME", int: "N", float: "X", Path: "FILE"}
@@ -211,8 +211,6 @@ def law_named(text: str | None) -> str | None:
 
 
 Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]
-Frames = Callable[[], tuple[int, Iterator[Any]]]
-"""Returns the number of frames of a film, and the frames."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -282,6 +280,6 @@ def write_film(folder: ResultFolder, name: str, film: Film, frames: Frames) -> N
     with progress_bar("filming", 1.0, remaining=True) as show:
 
         def write(path: Path) -> None:
-            write_video(path, film, *frames(), progress=lambda done, count: show(done / count))
+            write_video(path, film, *frames, progress=lambda done, count: show(done / count))
 
         folder.write(name, write)

@@ -22,7 +22,6 @@ from mjgranular.errors import (
 from mjgranular.experiment.drop import Drop, DropResult, load
 from mjgranular.experiment.impact import Impact, ImpactResult
 from mjgranular.experiment.trajectory import Trajectory
-from mjgranular.models import Link
 from mjgranular.picture.scene import Ground, View, add_arrow, make_renderer
 from mjgranular.relief import Memory
 from mjgranular.relief.memory import as_memory
@@ -79,10 +78,6 @@ class Film:
         if not 0 <= self.hold <= 60:
             raise InputError(f"the last frame can stand for 0 to 60 seconds, got {self.hold}")
 
-    def check(self, link: Link) -> None:
-        """Check that the model of a link has the camera."""
-        check_camera(link.spec().compile(), self.camera)
-
 
 @dataclass(frozen=True)
 class Motion:
@@ -113,10 +108,10 @@ def frames_of_impact(
     `stop` is the time from release to the stop [s].
     """
     link, sand = impact.link, impact.described
-    film.check(link)
     spec = link.spec()
     add_cut_scenery(spec, link.reach, None if prints is None else as_memory(sand.memory))
     model = spec.compile()
+    check_camera(model, film.camera)
     place_sun(model)
     memory = as_memory(fitted(model, sand).memory)
     covered = None if prints is None or memory is None else (prints, memory)
