@@ -135,8 +135,7 @@ def _environments() -> Listed:
 
 
 def _environment(identity: str) -> Listed:
-    from mjgranular.envs.ids import id_of, name_of
-    from mjgranular.envs.known import find_spec
+    from mjgranular.envs.ids import find_spec, id_of, name_of
     from mjgranular.envs.task import tasks
 
     name = name_of(identity.rpartition(":")[2])
