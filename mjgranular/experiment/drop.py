@@ -230,8 +230,7 @@ def run_drop(drop: Drop, *, progress: Callable[[float], None] | None = None) -> 
     model, xml = load(drop)
     if not drop.keep_floor:
         refuse_floors(model, drop.sand)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", FloorWarning)
+    with warnings.catch_warnings(action="ignore", category=FloorWarning):
         sand = Sand(model, drop.sand)
     data = mujoco.MjData(model)
     _place(drop, model, data, sand)

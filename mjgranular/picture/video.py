@@ -199,8 +199,7 @@ def _render(
     greatest = float(np.linalg.norm(motion.force, axis=2).max())
     scale = _ARROWS * view.radius / max(greatest, 1e-300)
     shown, picture = np.zeros((0, 3)), np.zeros(0)
-    renderer = make_renderer(model, film.width, film.height)
-    try:
+    with make_renderer(model, film.width, film.height) as renderer:
         for time, slower in times:
             k = int(np.searchsorted(motion.t, time, side="right")) - 1
             data.qpos[:] = _between(model, motion, k, time)
@@ -224,8 +223,6 @@ def _render(
             clock = f"{time * 1e3:.2f} ms" if times[-1][0] < _SHORT else f"{time:.3f} s"
             text = f"t = {clock}\nforce of the sand = {total:.0f} N\n{pace}"
             yield _captioned(picture, text, font)
-    finally:
-        renderer.close()
 
 
 def _captioned(picture: np.ndarray, text: str, font: Any) -> np.ndarray:
@@ -281,7 +278,7 @@ def write_video(
         raise OutputError(f"the film cannot be written: {reason}") from error
 
 
-def play(film: Any, *, fps: int, seconds: float, camera: str | None) -> None:
+def play(film: Any, fps: int, seconds: float, camera: str | None) -> None:
     """Play a film; see `mjgranular.show`."""
     if not isinstance(fps, int) or not 1 <= fps <= 240:
         raise InputError(f"frames per second must be an integer from 1 to 240, got {kind_of(fps)}")
