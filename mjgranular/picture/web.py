@@ -107,7 +107,6 @@ class Page:
         return f"http://{names.get(host, host)}:{self._server.get_port()}"
 
     def close(self) -> None:
-        """End the page."""
         self._server.stop()
 
     def is_running(self) -> bool:
