@@ -16,17 +16,12 @@ from typing import Annotated, Any, Union
 import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
+from mjgranular._util.checks import check_name
 from mjgranular._util.parse import parse_number
 from mjgranular._util.result_folder import ResultFolder
 from mjgranular._util.user_modules import import_own
 from mjgranular.cli.console import out, progress_bar, show_error
-from mjgranular.errors import (
-    GranularError,
-    InputError,
-    MissingExtraError,
-    RenderError,
-    UnknownNameError,
-)
+from mjgranular.errors import GranularError, InputError, MissingExtraError, RenderError
 from mjgranular.experiment.ground import PlainSand
 from mjgranular.experiment.study import ANGLES
 from mjgranular.experiment.trajectory import degrees
@@ -205,8 +200,7 @@ def law_named(text: str | None) -> str | None:
     }
     if name not in found and name in laws:
         return f"{name} {options}".strip()
-    if name not in found:
-        raise UnknownNameError(f"law in the module {module}", name, sorted(found))
+    check_name(f"law in the module {module}", name, sorted(found))
     return f"{register_law(found[name]).name} {options}".strip()
 
 

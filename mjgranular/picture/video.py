@@ -10,7 +10,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from mjgranular._util.checks import kind_of, require
+from mjgranular._util.checks import check_name, kind_of, require
 from mjgranular._util.files import atomic_write
 from mjgranular.errors import (
     GranularError,
@@ -92,8 +92,7 @@ class Motion:
 def check_camera(model: mujoco.MjModel, camera: str) -> None:
     """Check that a model has a camera."""
     known = ["free", *(model.camera(c).name for c in range(model.ncam))]
-    if camera not in known:
-        raise UnknownNameError("camera", camera, known)
+    check_name("camera", camera, known)
 
 
 def frames_of_impact(
