@@ -8,10 +8,10 @@ environment, for any number of simulations at once; `SandEnv` runs one of them, 
 in threads, and `WarpVectorEnv` many in MuJoCo Warp. `ranges` define sand sampled at each reset.
 """
 
-# First: the error with the install line if Gymnasium is missing.
-from mjgranular.envs import _gymnasium as _gymnasium
+from mjgranular._util.checks import require
 
-# isort: split
+for _package in ("gymnasium", "gymnasium.envs.mujoco.mujoco_env", "imageio"):
+    require(_package, extra="envs", purpose="mjgranular.envs")
 
 from mjgranular.envs.ids import register
 from mjgranular.envs.ranges import SandRanges as SandRanges

@@ -60,7 +60,6 @@ class Cameras:
         return self._renderer.render()
 
     def close(self) -> None:
-        """Release all resources."""
         for thing in (self._renderer, self._viewer):
             if thing is not None:
                 thing.close()

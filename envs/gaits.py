@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from mjgranular._util.checks import kind_of
+from mjgranular._util.checks import check_name, kind_of
 from mjgranular.envs.task import Task, check_number
-from mjgranular.errors import InputError, UnknownNameError
+from mjgranular.errors import InputError
 
 
 def travelling_wave(
@@ -94,8 +94,7 @@ def gait(task: Task, **parameters: Any) -> Callable[[float], np.ndarray]:
             f"{kind_of(task)}"
         )
     name = type(task).__name__
-    if name not in gaits:
-        raise UnknownNameError("gait for", name, gaits)
+    check_name("gait for", name, gaits)
     known = [*inspect.signature(gaits[name]).parameters][2:]
     for given, value in parameters.items():
         if given not in known:

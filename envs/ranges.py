@@ -9,7 +9,7 @@ from typing import Any, Self
 import mujoco
 import numpy as np
 
-from mjgranular._util.checks import kind_of
+from mjgranular._util.checks import check_name, kind_of
 from mjgranular.engine import tune
 from mjgranular.envs.figures import Figures
 from mjgranular.errors import InputError, UnknownNameError
@@ -86,8 +86,7 @@ class SandRanges:
         """Return ranges from a table by the names of the fields, as in TOML or YAML."""
         known = [field.name for field in fields(cls)]
         for name in table:
-            if name not in known:
-                raise UnknownNameError("range of randomise", name, known)
+            check_name("range of randomise", name, known)
         return cls(**table)
 
     @staticmethod
@@ -99,8 +98,7 @@ class SandRanges:
             return ranges
         names = [field.name for field in fields(SandRanges)]
         for name in options:
-            if name not in names:
-                raise UnknownNameError("option of reset", name, names)
+            check_name("option of reset", name, names)
         if ranges is None:
             raise InputError(
                 f"reset: {', '.join(options)} can be set if the environment is made with "

@@ -8,7 +8,7 @@ from typing import Any
 import gymnasium as gym
 
 from mjgranular._util.checks import require
-from mjgranular.envs.known import find_spec
+from mjgranular.envs.ids import find_spec
 
 
 def register_env(env_id: str) -> str:

@@ -18,7 +18,7 @@ from mjgranular.engine.instances import sands_in
 from mjgranular.engine.sensor import SandReadings
 from mjgranular.envs.figures import Figures
 from mjgranular.envs.ground import converted_errors, put_on_sand, quiet
-from mjgranular.envs.known import creator_of, find_spec
+from mjgranular.envs.ids import creator_of, find_spec
 from mjgranular.envs.ranges import Sample, SandRanges, choices_of, ranges_of, sampled_info
 from mjgranular.envs.single import first_of
 from mjgranular.errors import InputError, UnknownArgumentError, UnknownNameError

@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from mjgranular._util.checks import check_count, check_switch, require
-from mjgranular.envs.known import find_spec
+from mjgranular.envs.ids import find_spec
 from mjgranular.envs.vector import SandVectorEnv
 from mjgranular.errors import InputError
 

@@ -456,6 +456,7 @@ class Go1Velocity(Task):
             past[:] = np.concatenate([sensed, past[:, : -rows.sensed]], axis=1)
         state.userdata[:, rows.action] = applied
         state.userdata[:, _STEP] += 1
+        state.found.clear()  # the command and the phase of the gait are those of the next step
         self._push(state)
         targets = self._stance + self._trot(state) + applied
         if self.delay == (0, 0):
@@ -502,9 +503,7 @@ class Go1Velocity(Task):
 
     def _trot(self, state: State) -> np.ndarray:
         """Return offsets from the stance, (n, n_joints): a trot at the commanded velocity, or 0."""
-        # Not by `once`: the command may have changed since the last observation.
-        command = self._command(state)
-        clock = self._find_clock(state, command)
+        command, clock = self.command(state), self._clock(state)
         gait, pairs = self.gait, self._pairs
         lift = np.maximum(clock[:, :1] * pairs, 0.0)
         stride = clock[:, 1:] * pairs * command[:, :1] * (gait.gain / (4 * gait.rate * gait.leg))
@@ -513,12 +512,12 @@ class Go1Velocity(Task):
 
     def _clock(self, state: State) -> np.ndarray:
         """Return sine and cosine of the gait's phase, 0 if the command is to stand; (n, 2)."""
-        return self.once(state, "clock", lambda state: self._find_clock(state, self.command(state)))
+        return self.once(state, "clock", self._find_clock)
 
-    def _find_clock(self, state: State, command: np.ndarray) -> np.ndarray:
+    def _find_clock(self, state: State) -> np.ndarray:
         angles = 2 * math.pi * self.gait.rate * self.dt * state.userdata[:, _STEP]
         clock = np.array([(math.sin(angle), math.cos(angle)) for angle in angles.tolist()])
-        walks = np.square(command).sum(axis=1) > 0.0
+        walks = np.square(self.command(state)).sum(axis=1) > 0.0
         return np.where(walks[:, None], clock, 0.0)
 
     def observe(self, state: State) -> np.ndarray:

@@ -9,7 +9,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from mjgranular._util.checks import is_finite
+from mjgranular._util.checks import check_finite
 from mjgranular.errors import InputError, UnknownNameError
 
 _FOLDER = Path(__file__).resolve().parent
@@ -55,19 +55,15 @@ class Link:
 
     def __post_init__(self) -> None:
         self._check_sizes("link")
-        if self.diameter >= self.length:
-            raise InputError(
-                f"the link must be longer than it is thick: length {self.length} m, "
-                f"diameter {self.diameter} m"
-            )
 
     def _check_sizes(self, what: str) -> None:
         for name, unit in (("length", "m"), ("diameter", "m"), ("density", "kg/m^3")):
-            value = getattr(self, name)
-            if not (is_finite(value) and value > 0):
-                raise InputError(
-                    f"the {what}'s {name} must be positive and finite, not {value} {unit}"
-                )
+            check_finite(f"the {what}'s {name}", getattr(self, name), unit, positive=True)
+        if what in ("link", "capsule") and self.diameter >= self.length:
+            raise InputError(
+                f"the {what} must be longer than it is thick: length {self.length} m, "
+                f"diameter {self.diameter} m"
+            )
 
     @property
     def mass(self) -> float:

@@ -6,7 +6,7 @@ from typing import Literal, get_args
 
 import mujoco
 
-from mjgranular.errors import InputError, UnknownNameError
+from mjgranular._util.checks import check_name
 from mjgranular.models.link import Link
 from mjgranular.sand.material import LAW_TEXT
 
@@ -33,17 +33,8 @@ class Projectile(Link):
     shape: Shape = "link"
 
     def __post_init__(self) -> None:
-        if self.shape not in get_args(Shape):
-            raise UnknownNameError("body", self.shape, get_args(Shape))
-        if self.shape == "link":
-            super().__post_init__()
-            return
+        check_name("body", self.shape, get_args(Shape))
         self._check_sizes(self.shape)
-        if self.shape == "capsule" and self.diameter >= self.length:
-            raise InputError(
-                f"a capsule must be longer than it is thick: length {self.length} m, "
-                f"diameter {self.diameter} m"
-            )
 
     @property
     def halves(self) -> tuple[float, float, float]:

@@ -3,8 +3,8 @@
 import os
 from pathlib import Path
 
-from mjgranular._util.checks import kind_of, require
-from mjgranular.errors import InputError, MissingExtraError, UnknownNameError
+from mjgranular._util.checks import check_name, kind_of, require
+from mjgranular.errors import InputError, MissingExtraError
 
 ROOT = "MENAGERIE_ROOT"
 """Environment variable: a folder with one folder per robot, such as a checkout of MuJoCo Menagerie.
@@ -41,8 +41,7 @@ def robot_path(robot: str | Path) -> Path:
         )
     except MissingExtraError as error:
         raise InputError(f"{error}; or {remedy}") from None
-    if name not in menagerie.names():
-        raise UnknownNameError("robot", name, menagerie.names())
+    check_name("robot", name, menagerie.names())
     found = menagerie.get(name)
     try:
         return Path(found.path(progress=None)) / found.entry(found.default_model).file

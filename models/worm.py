@@ -7,7 +7,7 @@ from typing import Literal
 import mujoco
 import numpy as np
 
-from mjgranular._util.checks import check_count, is_finite
+from mjgranular._util.checks import check_count, check_finite
 from mjgranular.errors import InputError
 from mjgranular.models.link import DARK, Link, add_part, add_servo, robot_scene
 
@@ -50,9 +50,7 @@ class Worm:
         if self.posture not in ("level", "upright"):
             raise InputError(f"posture must be level or upright, got {self.posture!r}")
         for name in ("length", "width", "density", "bend", "stiffness", "torque", "speed"):
-            value = getattr(self, name)
-            if not (is_finite(value) and value > 0):
-                raise InputError(f"the worm's {name} must be positive, got {value}")
+            check_finite(f"the worm's {name}", getattr(self, name), positive=True)
 
     @property
     def step(self) -> float:
@@ -130,7 +128,6 @@ class Worm:
         return body
 
     def _fill(self, body: mujoco.MjsBody, index: int) -> None:
-        """Add mass and geom."""
         thin = self.step / 2  # a link is slender: a thin one, of the mass of a wide cylinder
         mass = Link(self.step, thin, self.density * (self.width / thin) ** 2).mass
         across = mass * (3 * (self.width / 2) ** 2 + self.step**2) / 12

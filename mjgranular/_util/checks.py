@@ -1,16 +1,17 @@
-"""Checks of the types of arguments, and of optional dependencies; errors say what is expected."""
+"""Checks of arguments, and of optional dependencies; errors say what is expected."""
 
 import importlib
 import math
 import types
 import typing
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any, Literal, Union
 
 import mujoco
 import numpy as np
 
-from mjgranular.errors import InputError, MissingExtraError, shown
+from mjgranular.errors import InputError, MissingExtraError, UnknownNameError, shown
 
 _LONGEST = 4096  # characters of a string
 _MEANT = {
@@ -28,18 +29,33 @@ def check_kind(value: Any, kind: type, who: str, meant: str = "") -> None:
         raise InputError(f"{who} takes {_one(kind.__name__)}, not {kind_of(value)}{how}")
 
 
+def check_name(kind: str, name: object, known: Collection[Any]) -> None:
+    """Check that a name is one of the known ones; `kind` is that of `UnknownNameError`."""
+    if name not in known:
+        raise UnknownNameError(kind, name, known)
+
+
 def check_switch(name: str, value: Any) -> None:
     """Check that a value is True or False: any string, even "no", would count as True."""
     if not isinstance(value, (bool, np.bool_)):
         raise InputError(f"{name} must be True or False, not {kind_of(value)}")
 
 
-def check_count(name: str, value: Any, least: int = 1) -> None:
-    """Check that a value is an integer of at least `least`."""
+def check_count(name: str, value: Any, least: int = 1, most: int | None = None) -> None:
+    """Check that a value is an integer of at least `least` and at most `most`."""
     if not isinstance(value, (int, np.integer)) or isinstance(value, bool):
         raise InputError(f"{name} must be an integer, not {kind_of(value)}")
     if value < least:
         raise InputError(f"{name} must be at least {least}, not {shown(value)}")
+    if most is not None and value > most:
+        raise InputError(f"{name} must be at most {most}, not {shown(value)}")
+
+
+def check_finite(what: str, value: Any, unit: str = "", *, positive: bool = False) -> None:
+    """Check that a value is a finite number, or a positive one; messages have its unit."""
+    if not is_finite(value) or (positive and value <= 0):
+        rule = "positive and finite" if positive else "finite"
+        raise InputError(f"{what} must be {rule}, got {shown(value)} {unit}".rstrip())
 
 
 def check_records(method: str, value: Any, *fields: str) -> None:

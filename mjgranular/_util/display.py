@@ -30,8 +30,7 @@ def opens_window(*, monitor: bool = False) -> bool:
 
     With `monitor` the display must have one, whose size Gymnasium's viewer asks for.
     """
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with warnings.catch_warnings(action="ignore"):
         try:
             glfw: Any = importlib.import_module("glfw")
         except ImportError:

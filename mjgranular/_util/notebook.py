@@ -20,6 +20,4 @@ def show(film: Any, *, fps: int = 30, seconds: float = 5.0, camera: str | None =
         RenderError: MuJoCo cannot render on this machine.
     """
     # Imported when used: it depends on packages that import this one.
-    importlib.import_module("mjgranular.picture.video").play(
-        film, fps=fps, seconds=seconds, camera=camera
-    )
+    importlib.import_module("mjgranular.picture.video").play(film, fps, seconds, camera)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from mjgranular._util.checks import check_kind, require
+from mjgranular._util.checks import check_kind, check_name, require
 from mjgranular.calibrate.drops import DropTrial, ModelTrial
 from mjgranular.calibrate.intervals import (
     COLLINEAR,
@@ -23,14 +23,7 @@ from mjgranular.calibrate.material import Material
 from mjgranular.calibrate.motion import Errors
 from mjgranular.calibrate.runs import Run
 from mjgranular.calibrate.trial import Problem, PushTrial, Trial
-from mjgranular.errors import (
-    InputError,
-    RangeWarning,
-    UnknownNameError,
-    UnstableError,
-    shown,
-    warn_user,
-)
+from mjgranular.errors import InputError, RangeWarning, UnstableError, shown, warn_user
 from mjgranular.law import Law
 from mjgranular.medium import Medium, get_medium
 from mjgranular.models import Projectile
@@ -78,8 +71,7 @@ class Fit:
             if names.count(name) > 1:
                 raise InputError(f"two runs are called {shown(name)}: each needs its own name")
         for name in self.hold_out:
-            if name not in names:
-                raise UnknownNameError("run to hold out", name, names)
+            check_name("run to hold out", name, names)
         if not set(names) - set(self.hold_out):
             raise InputError("there is no run to fit to: at least one must not be held out")
         self.material.check_free(self.free)

@@ -12,7 +12,8 @@ from typing import Any, Self, get_type_hints
 
 import numpy as np
 
-from mjgranular.errors import GranularError, InputError, UnknownNameError
+from mjgranular._util.checks import check_name
+from mjgranular.errors import GranularError, InputError
 from mjgranular.law import Law, get_law, law_in
 from mjgranular.medium import Medium
 
@@ -116,8 +117,7 @@ class Material:
         if not names:
             raise InputError(f"no constant is free; {self.law.name!r} has {', '.join(self.names)}")
         for name in names:
-            if name not in self.names:
-                raise UnknownNameError(f"free constant of {self.law.name}", name, self.names)
+            check_name(f"free constant of {self.law.name}", name, self.names)
             if names.count(name) > 1:
                 raise InputError(f"{name} is named twice among the free constants")
         if STRENGTH in names:

@@ -15,12 +15,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any, get_args
 
+from mjgranular._util.checks import check_name
 from mjgranular._util.io import place, read_file
 from mjgranular.calibrate.fit import Fit
 from mjgranular.calibrate.medium import known_medium
 from mjgranular.calibrate.runs import COLUMNS, GRAVITY, Body, Kind, Run, RunSet, motion_of
 from mjgranular.calibrate.table import read_table
-from mjgranular.errors import InputError, UnknownNameError, shown
+from mjgranular.errors import InputError, shown
 from mjgranular.law import Law, Rft3dLaw
 from mjgranular.medium.file import check_mapping, number, read_outline_file
 
@@ -135,8 +136,7 @@ def _run(entry: dict[str, Any], where: str, path: Path) -> Run:
 def _scored_run(entry: dict[str, Any], where: str, path: Path, *, about: dict[str, Any]) -> Run:
     """Return a run to score laws against, with all columns of its kind."""
     name, kind = entry["name"], entry["kind"]
-    if kind not in _SCORED_KINDS:
-        raise UnknownNameError("kind of run", kind, _SCORED_KINDS)
+    check_name("kind of run", kind, _SCORED_KINDS)
     check_mapping(entry, where, _SCORED_KEYS)
     values: dict[str, Any] = {"speed": 0.0} | _common(entry, where, path)
     table = read_table(path.parent / entry["data"], *COLUMNS[kind], values.pop("columns"))

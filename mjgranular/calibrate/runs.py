@@ -10,7 +10,7 @@ from typing import Any, Literal, get_args
 import mujoco
 import numpy as np
 
-from mjgranular._util.checks import is_finite
+from mjgranular._util.checks import check_finite, check_name, is_finite
 from mjgranular._util.io import place
 from mjgranular.calibrate.motion import Motion
 from mjgranular.calibrate.table import read_table
@@ -46,8 +46,7 @@ class Body(Projectile):
         mass: float | None = None,
         density: float | None = None,
     ) -> None:
-        if shape not in get_args(Shape):
-            raise UnknownNameError("shape of a body", shape, get_args(Shape))
+        check_name("shape of a body", shape, get_args(Shape))
         if length is None and shape != "sphere":
             what = "its side" if shape == "plate" else "along its axis"
             raise InputError(f"a {shape} needs a length, {what} [m]")
@@ -55,8 +54,7 @@ class Body(Projectile):
             raise InputError("a body has a mass or a density, got both")
         sizes = diameter if length is None else length, diameter
         if mass is not None:
-            if not (is_finite(mass) and mass > 0):
-                raise InputError(f"the body's mass must be positive and finite, not {mass}")
+            check_finite("the body's mass", mass, "kg", positive=True)
             density = mass / Projectile(*sizes, 1.0, shape).mass
         object.__setattr__(self, "is_heavy", density is not None)
         super().__init__(*sizes, _STEEL if density is None else density, shape)
@@ -150,8 +148,7 @@ class Run:
         self, data: Path | Mapping[str, Any] | None, columns: Mapping[str, str] | None
     ) -> None:
         for name, value, options in (("kind of run", self.kind, Kind), ("mark", self.mark, Mark)):
-            if value not in get_args(options):
-                raise UnknownNameError(name, value, get_args(options))
+            check_name(name, value, get_args(options))
         self._check_body()
         users = {"depth": "drag", "model": "model", "model_body": "model", "keyframe": "model"}
         for name, kind in users.items():

@@ -8,9 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
+from mjgranular._util.checks import check_name
 from mjgranular._util.io import place, read_file
 from mjgranular._util.parse import parse_number
-from mjgranular.errors import InputError, UnknownNameError, listed, shown
+from mjgranular.errors import InputError, listed, shown
 
 _LARGEST = 50_000_000
 """Size up to which a table is read [bytes]; chosen."""
@@ -47,8 +48,7 @@ def read_table(
     """
     known, columns = (*needed, *optional), columns or {}
     for column in columns:
-        if column not in known:
-            raise UnknownNameError(f"column of {place(path)}", column, known)
+        check_name(f"column of {place(path)}", column, known)
     text = read_file(path, "the measurement", largest=_LARGEST).decode("utf-8-sig", "replace")
     name = place(path)
     try:

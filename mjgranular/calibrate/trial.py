@@ -78,7 +78,6 @@ class Trial:
         return sum(len(series.values) for series in self.series)
 
     def simulate(self, material: Material) -> Motion:
-        """Simulate the run with a material."""
         return simulate_with(self.run, material, self._simulators)
 
     def errors(self, predicted: list[np.ndarray], shift: float | None) -> Errors:

@@ -54,7 +54,7 @@ class DropCommand(FilmOptions, options_of(Drop, without=("model",))):
                     film = Film(camera=camera, seconds=1.0)
                     drawn = (film, drop, vars(result), result.prints)
                     with collected(problems):
-                        write_film(folder, FILM, film, lambda: frames_of_drop(*drawn))
+                        write_film(folder, FILM, film, frames_of_drop(*drawn))
                 if not problems:
                     folder.finish()
         return self.finish(problems)

@@ -10,7 +10,7 @@ import tyro
 from rich.table import Table
 from rich.text import Text
 
-from mjgranular._util.checks import require
+from mjgranular._util.checks import check_name, require
 from mjgranular.cli.console import out, print_json, progress_bar
 from mjgranular.cli.options import Flag
 from mjgranular.errors import InputError, OutputError, UnknownNameError
@@ -152,8 +152,7 @@ def find_actor(
     The word is a run's folder, a policy's, or for `BASELINES` an environment's id. `trust` allows
     to import a module that only the run's file names.
     """
-    if agent not in ("policy", *BASELINES):
-        raise UnknownNameError("agent", agent, ("policy", *BASELINES))
+    check_name("agent", agent, ("policy", *BASELINES))
     if agent != "policy":
         if environment is not None:
             raise InputError(f"--env is for policies; --agent {agent} acts in the one named first")

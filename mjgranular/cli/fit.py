@@ -84,7 +84,6 @@ class FitCommand:
 
 
 def _run(fit: Fit) -> FitResult:
-    """Run a fit with a progress bar."""
     guess = len(fit.runs) * (1 + 2 * len(fit.free)) * _ROUNDS
     with progress_bar("fitting", guess) as show:
         return run_fit(fit, progress=lambda done: show(min(done, 0.95 * guess)))
@@ -127,11 +126,10 @@ def _constants(result: FitResult) -> Table:
 
 
 def _errors(title: str, errors: Mapping[str, Errors]) -> Table:
-    def cells(name: str, error: Errors) -> list[str]:
+    rows = []
+    for name, error in errors.items():
         numbers = (error.depth, error.stopping_time, error.force)
         signed = ["" if number is None else f"{100 * number:+.1f}" for number in numbers]
-        return [name, *signed, f"{100 * error.trajectory:.1f}"]
-
+        rows.append((name, *signed, f"{100 * error.trajectory:.1f}"))
     headings = ("run", "depth", "stopping time", "force", "whole curve")
-    rows = [cells(name, error) for name, error in errors.items()]
     return table(f"{title}: errors [%]", headings, rows)

@@ -12,7 +12,7 @@ from mjgranular.errors import GranularError, InputError
 from mjgranular.experiment import Impact, ImpactResult, run_impact
 from mjgranular.experiment.folder import RUN_FILES, write_run
 from mjgranular.picture.figures import draw_forces, draw_motion
-from mjgranular.picture.video import Film, frames_of_impact
+from mjgranular.picture.video import Film, check_camera, frames_of_impact
 
 FIGURES = ("motion.png", "forces.png")
 VIDEO = "impact.mp4"
@@ -33,7 +33,7 @@ class ImpactCommand(FilmOptions, options_of(Impact)):
         impact = self.experiment()
         film = Film(camera=self.camera or "side") if self.video else None
         if film is not None:
-            film.check(impact.link)
+            check_camera(impact.link.spec().compile(), film.camera)
         # The law may be None here, and is named in the file.
         config = {name: value for name, value in asdict(impact).items() if name != "law" or value}
         names = *RUN_FILES, *FIGURES, VIDEO
@@ -112,5 +112,5 @@ def _draw(folder: ResultFolder, result: ImpactResult, film: Film | None) -> list
     if film is not None:
         drawn = (film, result.impact, result.trajectory, stop, result.prints)
         with collected(problems):
-            write_film(folder, VIDEO, film, lambda: frames_of_impact(*drawn))
+            write_film(folder, VIDEO, film, frames_of_impact(*drawn))
     return problems

@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 import tyro
 from rich.markdown import Markdown
 
+from mjgranular._util.checks import check_name
 from mjgranular.cli.console import out, print_json, table
 from mjgranular.cli.options import Flag, law_named
 from mjgranular.errors import UnknownNameError
@@ -115,8 +116,7 @@ def _policies() -> Listed:
 
 def _policy(name: str) -> Listed:
     rows = {row["name"]: row for row in _policies()[0]}
-    if name not in rows:
-        raise UnknownNameError("policy", name, rows)
+    check_name("policy", name, rows)
     row = rows[name]
     return row, table(name, ("", ""), [(key, str(value)) for key, value in row.items()], words=2)
 
@@ -135,8 +135,7 @@ def _environments() -> Listed:
 
 
 def _environment(identity: str) -> Listed:
-    from mjgranular.envs.ids import id_of, name_of
-    from mjgranular.envs.known import find_spec
+    from mjgranular.envs.ids import find_spec, id_of, name_of
     from mjgranular.envs.task import tasks
 
     name = name_of(identity.rpartition(":")[2])

@@ -16,22 +16,17 @@ from typing import Annotated, Any, Union
 import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
+from mjgranular._util.checks import check_name
 from mjgranular._util.parse import parse_number
 from mjgranular._util.result_folder import ResultFolder
 from mjgranular._util.user_modules import import_own
 from mjgranular.cli.console import out, progress_bar, show_error
-from mjgranular.errors import (
-    GranularError,
-    InputError,
-    MissingExtraError,
-    RenderError,
-    UnknownNameError,
-)
+from mjgranular.errors import GranularError, InputError, MissingExtraError, RenderError
 from mjgranular.experiment.ground import PlainSand
 from mjgranular.experiment.study import ANGLES
 from mjgranular.experiment.trajectory import degrees
 from mjgranular.law import Law, laws, register_law
-from mjgranular.picture.video import Film, write_video
+from mjgranular.picture.video import Film, Frames, write_video
 from mjgranular.shape.rods import CHOOSE
 
 _METAVARS = {str: "NAME", int: "N", float: "X", Path: "FILE"}
@@ -205,14 +200,11 @@ def law_named(text: str | None) -> str | None:
     }
     if name not in found and name in laws:
         return f"{name} {options}".strip()
-    if name not in found:
-        raise UnknownNameError(f"law in the module {module}", name, sorted(found))
+    check_name(f"law in the module {module}", name, sorted(found))
     return f"{register_law(found[name]).name} {options}".strip()
 
 
 Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]
-Frames = Callable[[], tuple[int, Iterator[Any]]]
-"""Returns the number of frames of a film, and the frames."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -282,6 +274,6 @@ def write_film(folder: ResultFolder, name: str, film: Film, frames: Frames) -> N
     with progress_bar("filming", 1.0, remaining=True) as show:
 
         def write(path: Path) -> None:
-            write_video(path, film, *frames(), progress=lambda done, count: show(done / count))
+            write_video(path, film, *frames, progress=lambda done, count: show(done / count))
 
         folder.write(name, write)

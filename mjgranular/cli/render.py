@@ -11,13 +11,13 @@ from mjgranular._util.result_folder import TRAINING, ResultFolder
 from mjgranular.cli import drop, impact
 from mjgranular.cli.console import out
 from mjgranular.cli.evaluate import find_actor, is_environment
-from mjgranular.cli.options import Flag, Frames, options_of, write_film
+from mjgranular.cli.options import Flag, options_of, write_film
 from mjgranular.errors import InputError
 from mjgranular.experiment.folder import prints_of, read_drop, read_impact, saved_command
 from mjgranular.learn.evaluate import FIRST_SEED
 from mjgranular.learn.film import frames_of_episode
 from mjgranular.learn.policies import shipped_policies
-from mjgranular.picture.video import Film, frames_of_drop, frames_of_impact
+from mjgranular.picture.video import Film, Frames, frames_of_drop, frames_of_impact
 
 _DEFAULT_FILES = {"impact": impact.VIDEO, "drop": drop.FILM, TRAINING: "policy.mp4"}
 
@@ -84,14 +84,12 @@ class RenderCommand(options_of(Film, "seconds", "width", "height", "fps")):
 
     def _impact(self, film: Film) -> tuple[Film, Frames]:
         experiment, summary, trajectory, prints = read_impact(self.run_folder)
-        film.check(experiment.link)
         stop = impact.release_to_stop(summary)
-        return film, lambda: frames_of_impact(film, experiment, trajectory, stop, prints)
+        return film, frames_of_impact(film, experiment, trajectory, stop, prints)
 
     def _model(self, film: Film) -> tuple[Film, Frames]:
         experiment, arrays = read_drop(self.run_folder)
-        frames = frames_of_drop(film, experiment, arrays, prints_of(arrays))
-        return film, lambda: frames
+        return film, frames_of_drop(film, experiment, arrays, prints_of(arrays))
 
     def _policy(self, film: Film) -> tuple[Film, Frames]:
         actor = find_actor(str(self.run_folder), trust=self.trust)
@@ -103,4 +101,4 @@ class RenderCommand(options_of(Film, "seconds", "width", "height", "fps")):
             seed=FIRST_SEED if self.seed is None else self.seed,
             camera=self.camera,
         )
-        return film, lambda: (count, frames)
+        return film, (count, frames)

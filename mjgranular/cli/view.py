@@ -1,6 +1,5 @@
 """`mjgranular view`: your own model on sand, or a policy, in a window or a browser."""
 
-import math
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, nullcontext
@@ -12,7 +11,7 @@ from typing import Annotated, Any, Literal
 import mujoco
 import tyro
 
-from mjgranular._util.checks import check_count
+from mjgranular._util.checks import check_count, check_finite
 from mjgranular.cli.console import err
 from mjgranular.cli.evaluate import find_actor, is_environment
 from mjgranular.cli.options import Flag, option, options_of
@@ -69,8 +68,8 @@ class ViewCommand(options_of(Drop, without=_NOT_OPTIONS)):
 
     def run(self) -> int:
         for name, value in (("speed", self.speed), ("duration", self.duration)):
-            if value is not None and not (math.isfinite(value) and value > 0):
-                raise InputError(f"the {name} must be positive and finite, got {value}")
+            if value is not None:
+                check_finite(f"the {name}", value, positive=True)
         check_count("seed", self.seed, least=0)
         self._check_options()
         if self.web:

@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from mjgranular._util.checks import check_count
+from mjgranular._util.checks import check_count, check_name
 from mjgranular._util.parse import read_value, split_words
 from mjgranular._util.registry import Registry
-from mjgranular.errors import GranularError, InputError, UnknownNameError
+from mjgranular.errors import GranularError, InputError
 from mjgranular.law import get_law, laws
 from mjgranular.medium import Medium, get_medium, media
 from mjgranular.relief.memory import Memory, as_memory
@@ -158,8 +158,7 @@ def _write_memory(memory: Memory | float | bool) -> str:
 def _read_draw(text: str) -> tuple[str, ...]:
     words = tuple(split_words(text))
     for word in words:
-        if word not in DRAWINGS:
-            raise UnknownNameError("drawing", word, DRAWINGS)
+        check_name("drawing", word, DRAWINGS)
     return words
 
 

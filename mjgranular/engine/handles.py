@@ -90,7 +90,6 @@ class HandleTable:
         self._set_handle(data, instance, number)
 
     def __len__(self) -> int:
-        """Return the number of blocks."""
         self._purge()
         return len(self._held)
 

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 import mujoco
 import numpy as np
 
-from mjgranular._util.checks import check_kind
+from mjgranular._util.checks import check_kind, check_name
 from mjgranular.engine.config import KEYS, NAME, read_config
-from mjgranular.errors import InputError, UnknownNameError
+from mjgranular.errors import InputError
 from mjgranular.kernel.engine import library
 from mjgranular.law import Law
 from mjgranular.medium import Medium
@@ -57,8 +57,7 @@ def sands_in(model: mujoco.MjModel) -> tuple[str, ...]:
 def instance_of(model: mujoco.MjModel, name: str) -> int:
     """Return the index of the instance of sand of that name."""
     names = sands_in(model)
-    if name not in names:
-        raise UnknownNameError("sand of the model", name, names)
+    check_name("sand of the model", name, names)
     slots = np.flatnonzero(model.plugin == plugin_slot(NAME))
     return int(slots[names.index(name)])
 

@@ -82,7 +82,6 @@ class Engine:
         self._message = threading.local()
 
     def register(self, plugin: Plugin) -> None:
-        """Register a plugin with MuJoCo."""
         lib = library()
         _check_struct(lib)
         struct = PluginStruct()

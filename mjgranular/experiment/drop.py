@@ -12,7 +12,7 @@ from typing import Any, Self
 import mujoco
 import numpy as np
 
-from mjgranular._util.checks import check_kind, is_finite, kind_of
+from mjgranular._util.checks import check_finite, check_kind, is_finite, kind_of
 from mjgranular._util.io import check_regular, checked_fields, place
 from mjgranular.engine import show_prints
 from mjgranular.errors import (
@@ -74,11 +74,10 @@ class Drop(PlainSand):
             )
         if self.height is not None and not (is_finite(self.height) and self.height >= 0):
             raise InputError(f"height must be finite and not negative, got {shown(self.height)} m")
-        if not is_finite(self.velocity):
-            raise InputError(f"the velocity must be finite, got {shown(self.velocity)} m/s")
+        check_finite("the velocity", self.velocity, "m/s")
         for name, value in (("duration", self.duration), ("time step", self.timestep)):
-            if value is not None and not (is_finite(value) and value > 0):
-                raise InputError(f"the {name} must be positive and finite, got {shown(value)} s")
+            if value is not None:
+                check_finite(f"the {name}", value, "s", positive=True)
 
     @classmethod
     def from_config(cls, config: object) -> Self:
@@ -230,8 +229,7 @@ def run_drop(drop: Drop, *, progress: Callable[[float], None] | None = None) -> 
     model, xml = load(drop)
     if not drop.keep_floor:
         refuse_floors(model, drop.sand)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", FloorWarning)
+    with warnings.catch_warnings(action="ignore", category=FloorWarning):
         sand = Sand(model, drop.sand)
     data = mujoco.MjData(model)
     _place(drop, model, data, sand)

@@ -8,8 +8,8 @@ from typing import Any, Literal, get_args
 import mujoco
 import numpy as np
 
-from mjgranular._util.checks import check_kind, is_finite, kind_of
-from mjgranular.errors import InputError, UnstableError, listed, shown, warn_user
+from mjgranular._util.checks import check_finite, check_kind, kind_of
+from mjgranular.errors import InputError, UnstableError, listed, warn_user
 from mjgranular.experiment.sampling import REST_WINDOW, Recorder, RestWatch, Sampler, StopWatch
 from mjgranular.experiment.trajectory import Trajectory, degrees
 from mjgranular.law import get_law
@@ -73,8 +73,7 @@ class Impact:
 
     def __post_init__(self) -> None:
         for name in ("speed", "angle", "tangential_speed", "angular_velocity", "height"):
-            if not is_finite(getattr(self, name)):
-                raise InputError(f"{name} must be finite, got {shown(getattr(self, name))}")
+            check_finite(name, getattr(self, name))
         if self.speed < 0:
             raise InputError(f"the downward speed of T must not be negative, got {self.speed} m/s")
         if abs(self.angle) >= math.pi / 2:
@@ -88,8 +87,7 @@ class Impact:
                 f"the height of T must be 0 or more, not below the surface, got {self.height} m"
             )
         for name, value in (("time step", self.timestep), ("duration", self.duration)):
-            if not (is_finite(value) and value > 0):
-                raise InputError(f"the {name} must be positive and finite, got {value} s")
+            check_finite(f"the {name}", value, "s", positive=True)
         if self.timestep > self.duration:
             raise InputError(
                 f"the time step ({self.timestep} s) is longer than the duration ({self.duration} s)"

@@ -8,8 +8,8 @@ from typing import Any, Literal, get_args
 import mujoco
 import numpy as np
 
-from mjgranular._util.checks import check_count, check_kind, is_finite
-from mjgranular.errors import InputError, UnknownNameError, shown
+from mjgranular._util.checks import check_count, check_finite, check_kind, check_name
+from mjgranular.errors import InputError
 from mjgranular.experiment.drop import loading
 from mjgranular.experiment.trajectory import degrees
 from mjgranular.law import get_law
@@ -73,23 +73,18 @@ class Intrusion:
     resolution: int | None = None
 
     def __post_init__(self) -> None:
-        if self.intruder not in get_args(Intruder):
-            raise UnknownNameError("intruder", self.intruder, get_args(Intruder))
+        check_name("intruder", self.intruder, get_args(Intruder))
         for name, value in (("size", self.size), ("speed", self.speed)):
-            if not (is_finite(value) and value > 0):
-                raise InputError(f"the {name} must be positive and finite, got {shown(value)}")
+            check_finite(f"the {name}", value, positive=True)
         for name in ("tilt", "direction", "start", "depth"):
-            if not is_finite(getattr(self, name)):
-                raise InputError(f"the {name} must be finite, got {shown(getattr(self, name))}")
+            check_finite(f"the {name}", getattr(self, name))
         for name in ("tilt", "direction"):
             if not abs(getattr(self, name)) <= math.pi:
                 raise InputError(
                     f"the {name} must be within 180 degrees (pi = 3.1416 rad) either way, got "
                     f"{degrees(getattr(self, name)):g} degrees ({getattr(self, name):.4g} rad)"
                 )
-        check_count("points", self.points, least=2)
-        if self.points > _MOST_POINTS:
-            raise InputError(f"points must be at most {_MOST_POINTS}, not {self.points}")
+        check_count("points", self.points, least=2, most=_MOST_POINTS)
         if self.geom is not None and self.model is None:
             raise InputError("--geom is the name of a geom of a model: give the model too")
         for name in ("intruder", "size") if self.model is not None else ():
@@ -109,8 +104,7 @@ class Intrusion:
     def length(self) -> float:
         """Length of the path [m]."""
         if self.distance is not None:
-            if not (math.isfinite(self.distance) and self.distance > 0):
-                raise InputError(f"the distance must be positive, got {self.distance} m")
+            check_finite("the distance", self.distance, "m", positive=True)
             return self.distance
         down = math.sin(self.direction)
         if abs(down) < 1e-9:

@@ -14,7 +14,7 @@ from typing import Any, get_args
 import mujoco
 import numpy as np
 
-from mjgranular._util.checks import check_kind, is_finite, kind_of
+from mjgranular._util.checks import check_kind, check_name, is_finite, kind_of
 from mjgranular._util.io import read_file
 from mjgranular.errors import GranularError, InputError, UnknownNameError, shown
 from mjgranular.experiment.drop import Drop, loading, run_drop
@@ -164,8 +164,7 @@ def _law_with(experiment: Experiment, values: Mapping[str, Value]) -> str:
     hints = typing.get_type_hints(kind)
     known = [f.name for f in fields(kind)]  # pyright: ignore[reportArgumentType]
     for name, value in values.items():
-        if name not in known:
-            raise UnknownNameError(f"parameter of the law {kind.name}", name, known)
+        check_name(f"parameter of the law {kind.name}", name, known)
         options[name] = _converted(f"law.{name}", value, hints[name])
     words = (f"{name}={_word(value)}" for name, value in options.items())
     return " ".join((kind.name, *words))

@@ -32,19 +32,18 @@ class Baseline:
 
 
 def make_baseline(
-    name: str, env_id: str, env: Any, *, seed: int = 0, gait: Mapping[str, float] | None = None
+    name: str, env_id: str, env: Any, *, gait: Mapping[str, float] | None = None
 ) -> Agent:
     """Return an agent that needs no training: one of `BASELINES`.
 
     "zero" acts with the middle of the action space, or the first of discrete actions. `env` is one
-    environment or several, `seed` that of random actions, `gait` has the parameters of the gait
-    that differ from its defaults.
+    environment or several, `gait` has the parameters of the gait that differ from its defaults.
     """
     if name == "gait":
         return make_gait(env_id, env, gait or {})
     space = getattr(env, "single_action_space", None) or env.action_space
     if name == "random":
-        space.seed(seed)
+        space.seed(0)
         return Baseline(lambda steps: np.array([space.sample() for _ in steps]))
     middle: Any = 0
     if hasattr(space, "low"):

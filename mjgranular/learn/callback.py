@@ -40,19 +40,19 @@ class CheckpointCallback(BaseCallback):
         self._ended: list[tuple[float, int]] = []  # return and length, since the last row
         self._newest = deque[float](maxlen=max(_NEWEST, run.settings.num_envs))
         self._mean: float | None = None  # of these
-        self._plan(start.steps)
         # Rows after the checkpoint that is resumed belong to lost steps.
         self._write_curve()
 
     def _on_rollout_start(self) -> None:
-        steps = self.rollout_start = self.num_timesteps
+        before, steps = self.rollout_start, self.num_timesteps
+        self.rollout_start = steps
         if self._received:  # the next step ends the training
             return
-        save = steps >= self._next_checkpoint
-        if steps >= self._next_row:
+        every = self._run.settings.checkpoint_every
+        row_every = max(1, every // _ROWS_PER_CHECKPOINT)
+        if steps // row_every > before // row_every:
             self._add_row()
-        self._plan(steps)
-        if save:
+        if steps // every > before // every:
             self.save()
             restart_episodes(self.model, self._run.seed)
             policy: Any = self.model.policy
@@ -76,13 +76,6 @@ class CheckpointCallback(BaseCallback):
         reached = Progress(self.model.num_timesteps, self._seconds(), tuple(self._curve))
         save_checkpoint(self._run, self.model, reached)
         return reached
-
-    def _plan(self, steps: int) -> None:
-        """Find the steps after which the next row and the next checkpoint are due."""
-        every = self._run.settings.checkpoint_every
-        row_every = max(1, every // _ROWS_PER_CHECKPOINT)
-        self._next_checkpoint = (steps // every + 1) * every
-        self._next_row = (steps // row_every + 1) * row_every
 
     def _seconds(self) -> float:
         """Return the time spent in training, in all processes [s]."""

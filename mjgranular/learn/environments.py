@@ -15,7 +15,7 @@ _PURPOSE = "Training and evaluating policies"
 def find_spec(env_id: str) -> Any:
     """Return Gymnasium's specification of an environment."""
     require("gymnasium", extra="train", purpose=_PURPOSE)
-    return importlib.import_module("mjgranular.envs.known").find_spec(env_id)
+    return importlib.import_module("mjgranular.envs.ids").find_spec(env_id)
 
 
 def one(env_id: str, arguments: Mapping[str, Any]) -> Any:
@@ -62,8 +62,8 @@ def for_filming(
     env_id: str, arguments: Mapping[str, Any], *, width: int, height: int, camera: str | None
 ) -> Any:
     """Return one environment that renders itself."""
-    known = importlib.import_module("mjgranular.envs.known")
-    creator = known.creator_of(known.find_spec(env_id).entry_point)
+    ids = importlib.import_module("mjgranular.envs.ids")
+    creator = ids.creator_of(ids.find_spec(env_id).entry_point)
     parameters = inspect.signature(creator).parameters
     takes_all = any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters.values())
     if camera is not None and not (takes_all or "camera_name" in parameters):

@@ -1,6 +1,7 @@
 """Evaluation of an agent: complete episodes, one per seed, and means with confidence intervals."""
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from typing import Any
 
@@ -45,11 +46,8 @@ def run_episodes(
     parts = []
     for first in range(0, len(seeds), AT_ONCE):
         some = list(seeds[first : first + AT_ONCE])
-        env = environments.several(env_id, arguments, num_envs=len(some))
-        try:
+        with closing(environments.several(env_id, arguments, num_envs=len(some))) as env:
             parts.append(_step_to_end(env, make_agent(env), some))
-        finally:
-            env.close()
     names = [name for name in parts[0].figures if all(name in part.figures for part in parts)]
     return Episodes(
         np.concatenate([part.seeds for part in parts]),

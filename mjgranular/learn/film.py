@@ -94,12 +94,10 @@ class Live:
         self.restart(seed)
 
     def restart(self, seed: int | None = None) -> None:
-        """Begin an episode."""
         self._observation, _ = self._env.reset(seed=seed)
         self._steps = 0
 
     def step(self) -> None:
-        """Advance by a step of the environment."""
         if self.command is not None:
             self._task.set_command(self._env.unwrapped.state, self.command.values)
         action = self._agent.act(self._observation[None], np.array([self._steps]))[0]

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from mjgranular._util.checks import check_kind, require
-from mjgranular._util.files import atomic_write
+from mjgranular._util.files import atomic_write, write_text
 from mjgranular.errors import InputError, OutputError
 from mjgranular.learn.policies import Policy
 
@@ -74,8 +74,7 @@ def export_safetensors(policy: Policy, file: str | Path) -> Path:
     content = policy.run.config() | {"operations": [name for name, _ in operations]}
     with atomic_write(file) as part:
         part.write_bytes(tensors.save(numbers))
-    with atomic_write(described) as part:
-        part.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+    write_text(described, json.dumps(content, indent=2) + "\n")
     return file
 
 

@@ -9,8 +9,9 @@ import numpy as np
 
 import mjgranular.models
 from mjgranular._util import files
+from mjgranular._util.checks import check_name
 from mjgranular._util.result_folder import CONFIG
-from mjgranular.errors import OutputError, UnknownNameError, warn_user
+from mjgranular.errors import OutputError, warn_user
 from mjgranular.learn.checkpoint import Normalizer
 from mjgranular.learn.run import CHECKPOINTS, CURVE, NORMALIZER, POLICY, Run, open_run
 from mjgranular.learn.weights import build_policy, check_spaces, read_weights
@@ -92,6 +93,5 @@ def _folder(where: Path | str) -> Path:
     if path.is_dir():
         return path
     names = list(shipped_policies())
-    if str(where) not in names:
-        raise UnknownNameError("run folder or policy", str(where), names)
+    check_name("run folder or policy", str(where), names)
     return SHIPPED / str(where)

@@ -4,13 +4,13 @@ import inspect
 import tomllib
 import typing
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Self
 
-from mjgranular._util.checks import require
+from mjgranular._util.checks import check_count, check_name, require
 from mjgranular._util.io import fits, place, read_file
+from mjgranular._util.parse import parse_number
 from mjgranular.errors import InputError, UnknownNameError, shown
 
 ALGORITHMS = ("ppo", "sac", "td3")
@@ -85,14 +85,10 @@ class Settings:
             elif not fits(value, kind):
                 raise InputError(f"{name} must be {_KINDS[kind]}, got {shown(value)}")
         for name, known in (("algorithm", ALGORITHMS), ("activation", ACTIVATIONS)):
-            if getattr(self, name) not in known:
-                raise UnknownNameError(name, getattr(self, name), known)
+            check_name(name, getattr(self, name), known)
         most = {"num_envs": _MOST_ENVS, "total_steps": _MOST_STEPS, "checkpoint_every": _MOST_STEPS}
         for name, limit in most.items():
-            if not 1 <= getattr(self, name) <= limit:
-                raise InputError(
-                    f"{name} must be an integer from 1 to {limit}, got {getattr(self, name)}"
-                )
+            check_count(name, getattr(self, name), most=limit)
         _check_arguments(self.algorithm, self.arguments)
         if self.algorithm == "ppo":
             steps = self.arguments.get("n_steps", 2048) * self.num_envs
@@ -217,8 +213,7 @@ def algorithm_class(name: str) -> Any:
 def linear_start(value: object) -> float | None:
     """Return the start of a value that falls to zero: 3e-4 of "linear_3e-4"; None for others."""
     if isinstance(value, str) and value.startswith(_LINEAR):
-        with suppress(ValueError):
-            return float(value.removeprefix(_LINEAR))
+        return parse_number(value.removeprefix(_LINEAR))
     return None
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -68,8 +68,7 @@ def train(run: Run, *, report: Report | None = None, warp: str | None = None) ->
     files.finish_publishing(run.path)
     files.remove_leftovers(run.path, (CONFIG, CURVE, POLICY, NORMALIZER))
     files.remove_leftovers(run.path / CHECKPOINTS)
-    env = environments_of(run, warp=warp)
-    try:
+    with closing(environments_of(run, warp=warp)) as env:
         newest = run.newest_checkpoint()
         if newest is None:
             model, start = new_model(run, env), Progress(0, 0.0, [])
@@ -89,8 +88,6 @@ def train(run: Run, *, report: Report | None = None, warp: str | None = None) ->
         if stopped_by is None:  # also if an earlier process was killed before this
             write_policy(run, run.checkpoint_folder(reached.steps))
         return Training(reached, stopped_by, start.steps)
-    finally:
-        env.close()
 
 
 def _warn_of_versions(run: Run) -> None:

@@ -107,8 +107,7 @@ def _tensors(content: bytes) -> Any:
         # PyTorch's older formats are not zip files, and were not safe to read in older versions.
         if not content.startswith(b"PK"):
             raise pickle.UnpicklingError
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # about the content of an untrusted file
+        with warnings.catch_warnings(action="ignore"):  # about the content of an untrusted file
             return torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
     except pickle.UnpicklingError:
         raise OutputError("it holds more than numbers") from None

@@ -7,7 +7,8 @@ from typing import Literal, Self, get_args
 import mujoco
 import numpy as np
 
-from mjgranular.errors import InputError, UnknownNameError
+from mjgranular._util.checks import check_name
+from mjgranular.errors import InputError
 from mjgranular.sand import Report, Sand
 
 Kind = Literal["rods", "facets", "blobs"]
@@ -45,8 +46,7 @@ class Shown:
         those at `qpos`.
         """
         kind, elements, report = kind_of(sand), sand.elements, sand.report(data)
-        if color not in get_args(Color):
-            raise UnknownNameError("way to color elements", color, get_args(Color))
+        check_name("way to color elements", color, get_args(Color))
         poses = data
         if of_state:
             poses = mujoco.MjData(sand.model)

@@ -10,7 +10,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from mjgranular._util.checks import kind_of, require
+from mjgranular._util.checks import check_name, kind_of, require
 from mjgranular._util.files import atomic_write
 from mjgranular.errors import (
     GranularError,
@@ -22,7 +22,6 @@ from mjgranular.errors import (
 from mjgranular.experiment.drop import Drop, DropResult, load
 from mjgranular.experiment.impact import Impact, ImpactResult
 from mjgranular.experiment.trajectory import Trajectory
-from mjgranular.models import Link
 from mjgranular.picture.scene import Ground, View, add_arrow, make_renderer
 from mjgranular.relief import Memory
 from mjgranular.relief.memory import as_memory
@@ -79,10 +78,6 @@ class Film:
         if not 0 <= self.hold <= 60:
             raise InputError(f"the last frame can stand for 0 to 60 seconds, got {self.hold}")
 
-    def check(self, link: Link) -> None:
-        """Check that the model of a link has the camera."""
-        check_camera(link.spec().compile(), self.camera)
-
 
 @dataclass(frozen=True)
 class Motion:
@@ -97,8 +92,7 @@ class Motion:
 def check_camera(model: mujoco.MjModel, camera: str) -> None:
     """Check that a model has a camera."""
     known = ["free", *(model.camera(c).name for c in range(model.ncam))]
-    if camera not in known:
-        raise UnknownNameError("camera", camera, known)
+    check_name("camera", camera, known)
 
 
 def frames_of_impact(
@@ -113,10 +107,10 @@ def frames_of_impact(
     `stop` is the time from release to the stop [s].
     """
     link, sand = impact.link, impact.described
-    film.check(link)
     spec = link.spec()
     add_cut_scenery(spec, link.reach, None if prints is None else as_memory(sand.memory))
     model = spec.compile()
+    check_camera(model, film.camera)
     place_sun(model)
     memory = as_memory(fitted(model, sand).memory)
     covered = None if prints is None or memory is None else (prints, memory)
@@ -204,8 +198,7 @@ def _render(
     greatest = float(np.linalg.norm(motion.force, axis=2).max())
     scale = _ARROWS * view.radius / max(greatest, 1e-300)
     shown, picture = np.zeros((0, 3)), np.zeros(0)
-    renderer = make_renderer(model, film.width, film.height)
-    try:
+    with make_renderer(model, film.width, film.height) as renderer:
         for time, slower in times:
             k = int(np.searchsorted(motion.t, time, side="right")) - 1
             data.qpos[:] = _between(model, motion, k, time)
@@ -229,8 +222,6 @@ def _render(
             clock = f"{time * 1e3:.2f} ms" if times[-1][0] < _SHORT else f"{time:.3f} s"
             text = f"t = {clock}\nforce of the sand = {total:.0f} N\n{pace}"
             yield _captioned(picture, text, font)
-    finally:
-        renderer.close()
 
 
 def _captioned(picture: np.ndarray, text: str, font: Any) -> np.ndarray:
@@ -286,7 +277,7 @@ def write_video(
         raise OutputError(f"the film cannot be written: {reason}") from error
 
 
-def play(film: Any, *, fps: int, seconds: float, camera: str | None) -> None:
+def play(film: Any, fps: int, seconds: float, camera: str | None) -> None:
     """Play a film; see `mjgranular.show`."""
     if not isinstance(fps, int) or not 1 <= fps <= 240:
         raise InputError(f"frames per second must be an integer from 1 to 240, got {kind_of(fps)}")

@@ -40,7 +40,6 @@ class Command:
     values: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
 
     def press(self, key: int) -> None:
-        """React to a key."""
         if key == _ENTER:
             self.values[:] = 0.0, 0.0, 0.0
         elif key in _CHANGES:
@@ -58,7 +57,6 @@ class Switch:
     command: Command | None = None  # of a robot that follows one
 
     def press(self, key: int) -> None:
-        """React to a key."""
         if key == _SPACE:
             self.held = not self.held
         elif self.command is not None:
@@ -82,7 +80,6 @@ class Window:
         self.lock, self.is_running = handle.lock, handle.is_running
 
     def sync(self) -> None:
-        """Show the current state."""
         if self._command is not None:
             values = "\n".join(f"{value:.2f}" for value in self._command.values)
             if values != self._written:

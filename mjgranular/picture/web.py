@@ -74,8 +74,7 @@ class Page:
         shown.geom_matid[beds], shown.geom_rgba[beds] = -1, np.power(COLOR, _GAMMA)
         rich.get_console().quiet = True  # viser prints to it
         self._server = server = _import("viser").ViserServer(host=host, port=port, verbose=False)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of sand: the user has seen them
+        with warnings.catch_warnings(action="ignore"):  # of sand: the user has seen them
             self._robot = _import("mjviser").ViserMujocoScene(server, shown, num_envs=1)
         self._world = world = self._robot.fixed_bodies_frame.name  # moves for the camera to follow
         server.scene.configure_environment_map(environment_intensity=0.25)
@@ -108,7 +107,6 @@ class Page:
         return f"http://{names.get(host, host)}:{self._server.get_port()}"
 
     def close(self) -> None:
-        """End the page."""
         self._server.stop()
 
     def is_running(self) -> bool:

@@ -75,7 +75,6 @@ class Journal:
             raise self._as_output_error(error) from None
 
     def keep(self, index: int, row: Mapping[str, Any]) -> None:
-        """Add the result of a task."""
         if self._file is None:
             self.begin()
         file = self._file

@@ -4,6 +4,7 @@ import os
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
+from contextlib import closing
 from dataclasses import dataclass
 from itertools import islice
 from typing import Any
@@ -84,16 +85,13 @@ def map_tasks(
     todo = len(tasks) - journal.count
     if todo == 0:
         return mapped
-    pool: Pool | None = None
     try:
-        pool = _open(function, shared, on or Workers(), todo)
-        _follow(pool, tasks, mapped, progress)
+        with closing(_open(function, shared, on or Workers(), todo)) as pool:
+            _follow(pool, tasks, mapped, progress)
     except KeyboardInterrupt as stop:
         mapped.stopped_by = signal_of(stop)
         journal.recount()
     finally:
-        if pool is not None:
-            pool.close()
         mapped.failures.sort(key=lambda failure: failure.index)
     return mapped
 

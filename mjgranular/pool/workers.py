@@ -19,7 +19,8 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import Any, Literal, NamedTuple, get_args
 
-from mjgranular.errors import GranularError, GranularWarning, InputError, UnknownNameError, one_line
+from mjgranular._util.checks import check_name
+from mjgranular.errors import GranularError, GranularWarning, InputError, one_line
 
 Engine = Literal["local", "ray"]
 
@@ -45,8 +46,7 @@ class Workers:
     address: str | None = None
 
     def __post_init__(self) -> None:
-        if self.engine not in get_args(Engine):
-            raise UnknownNameError("engine", self.engine, get_args(Engine))
+        check_name("engine", self.engine, get_args(Engine))
         if self.count is not None and self.count < 1:
             raise InputError(f"a run needs at least 1 worker, got {self.count}")
         if self.address is not None and self.engine != "ray":

@@ -94,7 +94,6 @@ class TrackRecorder:
         self._changes.append((nodes[at], now[at]))
 
     def prints(self) -> Tracks:
-        """Return all recorded tracks."""
         return Tracks(
             np.array(self._t),
             np.cumsum([len(heights) for _, heights in self._changes], dtype=np.int64),

@@ -38,11 +38,6 @@ class Case:
     surface: Surface
     memory: Memory | None
 
-    @property
-    def bodies(self) -> list[int]:
-        """Return the ids of the bodies that meet the sand, in order."""
-        return sorted({int(self.model.geom_bodyid[geom]) for geom in self.geoms})
-
 
 def warn(checks: Iterable[tuple[Callable[..., Iterator[str]], Any]], *arguments: Any) -> None:
     """Warn of what checks yield, each with its class of warnings."""
@@ -56,13 +51,13 @@ def warn(checks: Iterable[tuple[Callable[..., Iterator[str]], Any]], *arguments:
 
 def touch_sensors(case: Case) -> Iterator[str]:
     """Check that no touch sensor is on a body in the sand, which it does not measure."""
-    model, bodies = case.model, case.bodies
+    model, bodies = case.model, case.model.geom_bodyid[list(case.geoms)]
     site = model.sensor_objtype == mujoco.mjtObj.mjOBJ_SITE
     ours = model.sensor_objid[site & (model.sensor_type == mujoco.mjtSensor.mjSENS_PLUGIN)]
     names = [
         name_of(model, "sensor", sensor) or f"number {sensor}"
         for sensor in (model.sensor_type == mujoco.mjtSensor.mjSENS_TOUCH).nonzero()[0]
-        if int(model.site_bodyid[model.sensor_objid[sensor]]) in bodies
+        if model.site_bodyid[model.sensor_objid[sensor]] in bodies
         and model.sensor_objid[sensor] not in ours
     ]
     if names:
@@ -109,15 +104,14 @@ def _bodies_of_flex(model: mujoco.MjModel, flex: int) -> set[int]:
 
 # Ground and feet made for contacts
 
+_REMEDY = ": name in instead_of=[...] what the sand replaces, or put that ground deeper"
+
 
 def floors(case: Case) -> Iterator[str]:
     """Check that bodies will not stand on the model's own ground."""
     found = find_floors(case.model, case.geoms, case.surface)
     if found:
-        yield (
-            f"{describe_floors(case.model, found, WOULD_CARRY)}: name in instead_of=[...] what the "
-            "sand replaces, or put that ground deeper"
-        )
+        yield describe_floors(case.model, found, WOULD_CARRY) + _REMEDY
 
 
 def contacts(case: Case, data: mujoco.MjData) -> Iterator[str]:
@@ -125,10 +119,7 @@ def contacts(case: Case, data: mujoco.MjData) -> Iterator[str]:
     watch = FloorWatch(case.model, case.geoms, case.surface)
     watch.look(data)
     if watch.floors:
-        yield (
-            f"{describe_floors(case.model, sorted(watch.floors), CARRIES)}: name in "
-            "instead_of=[...] what the sand replaces, or put that ground deeper"
-        )
+        yield describe_floors(case.model, sorted(watch.floors), CARRIES) + _REMEDY
 
 
 SHARE = 0.15

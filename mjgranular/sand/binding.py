@@ -183,7 +183,6 @@ class SandRegistry:
         return [binding]
 
     def others(self, sand: Any) -> list[Any]:
-        """Return the other Sands."""
         return [other for other in self._members if other is not sand]
 
     def _put_last(self, together: list[Binding]) -> None:

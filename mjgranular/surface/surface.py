@@ -11,8 +11,8 @@ from typing import Any, ClassVar
 import mujoco
 import numpy as np
 
-from mjgranular._util.checks import check_records, is_finite
-from mjgranular.errors import InputError, shown
+from mjgranular._util.checks import check_finite, check_records
+from mjgranular.errors import InputError
 from mjgranular.kernel.compiled import check_compiled, compiled, entry
 from mjgranular.kernel.memory import records
 from mjgranular.kernel.vector import dot, norm, read_matrix, read_vector, transposed, vector
@@ -144,9 +144,7 @@ class Plane(Surface):
 
     def __post_init__(self) -> None:
         for name in ("height", "slope", "uphill"):
-            value = getattr(self, name)
-            if not is_finite(value):
-                raise InputError(f"the plane's {name} must be finite, not {shown(value)}")
+            check_finite(f"the plane's {name}", getattr(self, name))
         if abs(self.slope) >= math.pi / 2:
             raise InputError(
                 f"the plane's slope must be less than 90 degrees (pi/2 = 1.5708 rad), not "

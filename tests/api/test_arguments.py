@@ -55,7 +55,7 @@ MISTAKES = {
     "the same for a spec": (lambda: add_sand(spec(), surface=0.1), r"0.1; use Plane\(height="),
     "words for resolution": (lambda: Sand(model(), resolution="fine", **SAND), "integer"),
     "half of a resolution": (lambda: Sand(model(), resolution=2.5, **SAND), "integer"),
-    "text for height": (lambda: Plane("high"), "must be finite, not 'high'"),
+    "text for height": (lambda: Plane("high"), "must be finite, got 'high'"),
     "number for a bed": (lambda: Sand(model(), surface=Bed(3), **SAND), "name of its geom"),
     "number for a field": (lambda: Sand(model(), surface=HeightField(3), **SAND), "name of its"),
     "geom beyond the last": (lambda: Sand(model(), geoms=7, **SAND), "geom number 7.*0 to 1"),

@@ -19,10 +19,12 @@ PACKAGES = {
     "mjgranular": ROOT / "mjgranular",
     "mjgranular.models": ROOT / "models",
     "mjgranular.envs": ROOT / "envs",
+    "": ROOT / "referee",  # scripts, which import each other by their bare names
 }
 
 # From the ground up: a folder may import those in the lines above it. Modules beside the folders
-# rank as "_util"; "mjgranular" is the public interface, which is built on the engine.
+# rank as "_util"; "mjgranular" is the public interface, which is built on the engine. Scripts of
+# the referee are above all of them.
 ORDER = (
     "_util",
     "pool",
@@ -72,7 +74,7 @@ def trees() -> dict[str, ast.Module]:
     for package, folder in PACKAGES.items():
         for file in sorted(folder.rglob("*.py")):
             parts = [package, *file.relative_to(folder).with_suffix("").parts]
-            name = ".".join(part for part in parts if part != "__init__")
+            name = ".".join(part for part in parts if part not in ("", "__init__"))
             found[name] = ast.parse(file.read_text(encoding="utf-8"))
     return found
 
@@ -104,7 +106,7 @@ def within_the_package(module: str) -> set[str]:
 
 def rank(module: str) -> int:
     parts = module.split(".")
-    if parts[-1] == "__main__":
+    if parts[0] != "mjgranular" or parts[-1] == "__main__":
         return len(ORDER)
     if len(parts) == 1:
         return ORDER.index("mjgranular")

@@ -172,7 +172,7 @@ def test_the_robot_of_li_walks_ahead_at_a_constant_rate():
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Worm(width=0.0), "the worm's width must be positive, got 0.0"),
+        (lambda: Worm(width=0.0), "the worm's width must be positive and finite, got 0.0"),
         (lambda: Worm(posture="curled"), "posture must be level or upright, got 'curled'"),
         (lambda: Worm(0), "Worm: count"),
         (lambda: LiRobot(1.5), "curvature must be from -1 to 1, got 1.5"),

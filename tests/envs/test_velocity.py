@@ -152,6 +152,7 @@ def test_the_scripted_walk_lifts_one_leg_in_turn_with_level_soles():
     task, targets = env.task, []
     for step in range(25, 65):  # after half a second of standing
         env.data.userdata[0] = step
+        env.state.found.clear()
         targets.append(task._trot(env._state)[0].reshape(2, 6))
     hip, knee, ankle = (np.array(targets)[:, :, part] for part in (0, 3, 4))
     assert np.abs(hip + knee + ankle).max() == pytest.approx(0.0, abs=1e-12)

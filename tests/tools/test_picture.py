@@ -9,7 +9,7 @@ from mjgranular import errors
 from mjgranular.cli import main
 from mjgranular.experiment import Impact, run_impact
 from mjgranular.models import Link
-from mjgranular.picture.video import Film, frames_of_impact, write_video
+from mjgranular.picture.video import Film, check_camera, frames_of_impact, write_video
 
 
 @pytest.fixture(scope="module")
@@ -154,7 +154,7 @@ def test_film_options_are_checked():
     with pytest.raises(errors.InputError, match="even"):
         Film(width=101)
     with pytest.raises(errors.UnknownNameError, match="side, close, corner"):
-        Film(camera="nose").check(Link())
+        check_camera(Link().spec().compile(), "nose")
 
 
 def test_the_figure_of_many_bodies_shows_those_with_the_largest_forces(tmp_path, monkeypatch):
