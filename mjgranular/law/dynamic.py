@@ -8,7 +8,7 @@ grows with the shear rate (docs/laws/rft.md, docs/validity.md).
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
-from mjgranular.law.lateral import lateral_strength, plate_slope
+from mjgranular.law.lateral import lateral_strength, measured_slope
 from mjgranular.law.law import constants_of, register_law
 from mjgranular.law.raised import RATE, cone_under
 from mjgranular.law.rft import RftLaw
@@ -104,7 +104,7 @@ class DynamicRft3dLaw(_Dynamic, Rft3dLaw):
         "Y. Forterre, O. Pouliquen, Nature 441, 727 (2006)"
     )
 
-    slope: ClassVar[Any] = plate_slope(rft3d_slope)
+    slope: ClassVar[Any] = measured_slope(rft3d_slope)
     validity: ClassVar[tuple[Limit, ...]] = _confirmed("rft3d_dynamic", inertial_number=1.6)
 
     inertia: float = INERTIA

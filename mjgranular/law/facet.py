@@ -58,6 +58,7 @@ class FacetSample(NamedTuple):
     rise_2: float
     mean: float  # mean depth over the whole facet, negative depth counting as zero [m]
     area: float  # [m^2], times the factor on static resistance (`law.raised`)
+    cone: float  # what stagnant sand adds to the resistance to vertical motion (`law.raised`)
     push: float  # lambda rho area: the inertial term's [N s^2/m^2]
     moved: float  # sand that moves with the facet once it is immersed [kg]
     entry: float  # depth over which that builds up, besides the facet's own height [m]
@@ -107,7 +108,7 @@ def facet_kernel(
         if not is_plane and all_of(depth <= 0.0):
             return FacetSample(
                 depth, 0.0, point, point, up, point, point, middle, rise_1, rise_2,
-                depth, depth, depth, depth, depth,
+                depth, depth, depth, depth, depth, depth,
             )  # fmt: skip
         lowered = middle
         if law.rise != 0.0:
@@ -125,6 +126,7 @@ def facet_kernel(
             # If that point is dry, the facet's middle is not above the sand but beside it.
             below, _ = look(surface, centre, outward)
             depth = middle if below <= 0.0 else depth
+        factor, cone = raised(law, facet, pose, centre, outward, up, mean, g)
         return FacetSample(
             depth,
             0.0,
@@ -137,7 +139,8 @@ def facet_kernel(
             rise_1,
             rise_2,
             mean,
-            facet.area * raised(law, facet, pose, centre, outward, up, mean, g),
+            facet.area * factor,
+            cone,
             choose(depth <= 0.0, 0.0, law.inertia * facet.area * share),
             moved(law, facet, dot(outward, up), mean),
             _ENTRY * facet.face,

@@ -58,6 +58,15 @@ def dissipative(factors, rise, lead, eps):
     return strength, f, by_rise, by_down, by_lead
 
 
+@partial(compiled, inline=True)
+def standing(factors, cone, rise):
+    """Return factors of a stress (of a `slope`) with that of stagnant sand, 1 + cone u_z^2."""
+    strength, f, by_rise, by_down, by_lead = factors
+    more = 1.0 + cone * rise * rise
+    by_rise = more * by_rise + (2.0 * cone * rise) * f
+    return strength, more * f, by_rise, more * by_down, more * by_lead
+
+
 @cache
 def led_slope_kernel(slope: Any) -> Any:
     """Make the kernel `led` for any facet, from the `slope` of the law (`RftLaw`)."""
@@ -100,7 +109,7 @@ def led_slope_kernel(slope: Any) -> Any:
         m = scale * m
         rise, down, lead = dot(u, z), dot(m, z), dot(m, u)
         strength, f, by_rise, by_down, by_lead = dissipative(
-            slope(law, g, rise, down, lead), rise, lead, eps
+            standing(slope(law, g, rise, down, lead), facet.cone, rise), rise, lead, eps
         )
         strength *= facet.area
         gain = strength * load
@@ -157,7 +166,7 @@ def simple_slope_kernel(slope: Any) -> Any:
         n, z = facet.normal, facet.up
         rise, down, lead = dot(u, z), dot(n, z), dot(n, u)
         strength, f, by_rise, _, by_lead = dissipative(
-            slope(law, g, rise, down, lead), rise, lead, eps
+            standing(slope(law, g, rise, down, lead), facet.cone, rise), rise, lead, eps
         )
         gain = strength * facet.mean * facet.area
         force, by_p = plate_slope(
@@ -207,7 +216,8 @@ def led_by_differences(stress: Any) -> Any:
         load, s, t = load_of(facet.middle, facet.rise_1, facet.rise_2, facet.mean, c, a, b, sided)
         m = facet.normal + s * facet.spread_1 + t * facet.spread_2
         m = m / norm(m)
-        force = (load * facet.area) * stress(law, g, m, u, facet.up)
+        more = 1.0 + facet.cone * dot(u, facet.up) ** 2
+        force = (load * facet.area * more) * stress(law, g, m, u, facet.up)
         if load <= 0.0 or dot(m, u) <= edge_of(eps):
             force = vector(0.0, 0.0, 0.0)
         # The fit describes leading faces; on the ramp it is also evaluated for slightly trailing

@@ -24,7 +24,7 @@ than in that fit if they are tilted and move up or down, and more if they lead b
 do not move horizontally. The stress is multiplied by K J,
 
     K = 1 - 0.3 (4 n_z^2 (1 - n_z^2)) (1 - (1 - u_z^2)^2),                             (S4)
-    J = 1 + n_z^2 (1 - (n.u)^2)^8 (1 - (1 - u_z^2)^16).                                (S5)
+    J = 1 + n_z^2 (1 - (n.u)^2)^8 (1 - (1 - u_z^2)^8).                                 (S5)
 """
 
 import math
@@ -80,28 +80,25 @@ def lateral_slope(slope: Any) -> Any:
     return of_lateral
 
 
-def plate_slope(slope: Any) -> Any:
+def measured_slope(slope: Any) -> Any:
     """Make the `slope` of a law (`RftLaw`) by (S4) and (S5)."""
 
     @partial(compiled, inline=True)
-    def of_plate(law, g, rise, down, lead):
+    def of_measured(law, g, rise, down, lead):
         strength, f, by_rise, by_down, by_lead = slope(law, g, rise, down, lead)
-        n_2, across, aslant = down * down, 1.0 - rise * rise, 1.0 - lead * lead
-        across_2, aslant_2 = across * across, aslant * aslant
-        across_4, aslant_4 = across_2 * across_2, aslant_2 * aslant_2
-        across_8, aslant_8 = across_4 * across_4, aslant_4 * aslant_4
-        across_15, aslant_7 = across_8 * across_4 * across_2 * across, aslant_4 * aslant_2 * aslant
+        n_2, across, graze = down * down, 1.0 - rise * rise, 1.0 - lead * lead
+        across_2, graze_2 = across * across, graze * graze
+        across_4, graze_4 = across_2 * across_2, graze_2 * graze_2
+        across_7, graze_7 = across_4 * across_2 * across, graze_4 * graze_2 * graze
         tilted, steep = TILTED * 4.0 * n_2 * (1.0 - n_2), 1.0 - across_2
-        k, not_level = 1.0 - tilted * steep, 1.0 - across_8 * across_8
-        more = n_2 * aslant_8
-        j, kj = 1.0 + more * not_level, k * (1.0 + more * not_level)
-        k_rise, j_rise = -4.0 * tilted * across * rise, 32.0 * more * across_15 * rise
+        k, part = 1.0 - tilted * steep, graze_7 * graze * (1.0 - across_7 * across)
+        k_rise = -4.0 * tilted * across * rise
         k_down = -8.0 * TILTED * steep * (down - 2.0 * n_2 * down)
-        kj_rise = k_rise * j + k * j_rise
-        kj_down = k_down * j + k * (2.0 * down * aslant_8 * not_level)
-        kj_lead = k * (-16.0 * n_2 * aslant_7 * lead * not_level)
-        by_rise = kj * by_rise + kj_rise * f
-        by_down = kj * by_down + kj_down * f
-        return strength, kj * f, by_rise, by_down, kj * by_lead + kj_lead * f
+        j, j_rise = 1.0 + n_2 * part, 16.0 * n_2 * graze_7 * graze * across_7 * rise
+        j_down, j_lead = 2.0 * down * part, -16.0 * n_2 * graze_7 * lead * (1.0 - across_7 * across)
+        kj = k * j
+        by_rise = kj * by_rise + (k_rise * j + k * j_rise) * f
+        by_down = kj * by_down + (k_down * j + k * j_down) * f
+        return strength, kj * f, by_rise, by_down, kj * by_lead + (k * j_lead) * f
 
-    return of_plate
+    return of_measured

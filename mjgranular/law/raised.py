@@ -7,7 +7,9 @@ start of a step. So they do not change how a law holds a body at rest: only its 
 moves with the face. The cone meets the resistance, and it is deeper than the face. Its slope is
 pi/4 + phi/2 with the friction angle phi, so its mean depth below a face of width w is w tan(pi/4 +
 phi/2)/6. Kang, Feng, Liu and Blumenfeld (Nature Communications 9, 1101, 2018) measured that: force
-against depth is a line with a positive intercept, after a rise over which the cone forms.
+against depth is a line with a positive intercept, after a rise over which the cone forms. A face
+that moves aslant leaves the cone behind: it counts by the square of the motion's vertical part
+(chosen: plates pushed aslant into simulated grains, referee/data/oblique, and a walking robot).
 
 **Fast shear.** Friction between grains grows with the inertial number I of the flow around the
 facet: mu(I) = mu + rate I / (I + I_0) (Jop, Forterre and Pouliquen, Nature 441, 727, 2006), with I
@@ -66,31 +68,31 @@ def shear_constants(density: float, grain: float, friction: float, rate: float) 
 
 @partial(compiled, inline=True)
 def not_raised(law, facet, pose, centre, normal, up, mean, g):
-    """Return 1: static resistance by depth alone."""
-    return 1.0
+    """Return 1 and 0: static resistance by depth alone."""
+    return 1.0, 0.0 * mean
 
 
 @partial(compiled, inline=True)
 def raised_by_cone(law, facet, pose, centre, normal, up, mean, g):
-    """Return the factor of stagnant sand; the law's record has `cone` [widths]."""
+    """Return 1, and what stagnant sand adds; the law's record has `cone` [widths]."""
     down = -dot(normal, up)
     least = CONE_FORMS * facet.face
     deep = choose(mean > least, mean, least)
-    return 1.0 + law.cone * facet.flat * facet.face * choose(down > 0.0, down, 0.0) / deep
+    return 1.0, law.cone * facet.flat * facet.face * choose(down > 0.0, down, 0.0) / deep
 
 
 @partial(compiled, inline=True)
 def raised_by_shear(law, facet, pose, centre, normal, up, mean, g):
-    """Return the factor of stagnant sand and of fast shear.
+    """Return the factor of fast shear, and what stagnant sand adds.
 
     The record also has `stiffness`, xi_n / g [kg/m^3], and `shear` and `rate_1` to `rate_3`
     (`shear_constants`).
     """
-    standing = raised_by_cone(law, facet, pose, centre, normal, up, mean, g)
-    stress = law.stiffness * g * mean * standing
+    _, cone = raised_by_cone(law, facet, pose, centre, normal, up, mean, g)
+    stress = law.stiffness * g * mean * (1.0 + cone)
     stress = choose(stress > _NO_STRESS, stress, _NO_STRESS)
     v = velocity_at(pose.motion, centre - pose.tree)
     per = law.shear / facet.face
     number = root(per * per * dot(v, v) / stress)
     s = number / (number + INERTIAL_NUMBER)
-    return standing * (1.0 + s * (law.rate_1 + s * (law.rate_2 + s * law.rate_3)))
+    return 1.0 + s * (law.rate_1 + s * (law.rate_2 + s * law.rate_3)), cone
