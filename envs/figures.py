@@ -14,6 +14,9 @@ from mjgranular.sand.material import material_of
 from mjgranular.sand.prepare import geoms_in_sand
 from mjgranular.surface.choice import surface_of
 
+BAD = [int(bad) for bad in mujoco.mjtWarning.__members__.values() if "BADQ" in bad.name]
+"""Warnings of MuJoCo that a simulation has diverged; most likely it has been reset then."""
+
 
 class Figures:
     """Reads the sensors that `put_on_sand` has added, or `readings` that stand in for them.

@@ -16,7 +16,7 @@ from mjgranular._util.checks import check_count
 from mjgranular.engine import rne_post_constraint
 from mjgranular.engine.instances import sands_in
 from mjgranular.engine.sensor import SandReadings
-from mjgranular.envs.figures import Figures
+from mjgranular.envs.figures import BAD, Figures
 from mjgranular.envs.ground import converted_errors, put_on_sand, quiet
 from mjgranular.envs.known import creator_of, find_spec
 from mjgranular.envs.ranges import Sample, SandRanges, choices_of, ranges_of, sampled_info
@@ -166,7 +166,9 @@ class OnSand(MujocoEnv):
 
     def step(self, action: Any) -> Any:
         observation, reward, terminated, truncated, info = super().step(action)
-        return observation, reward, terminated, truncated, info | self.sand_figures()
+        lost = any(self.data.warning[bad].number for bad in BAD)
+        info |= self.sand_figures() | {"sand/lost": lost}
+        return observation, 0.0 if lost else reward, terminated or lost, truncated, info
 
     def _get_reset_info(self) -> dict[str, Any]:
         return super()._get_reset_info() | self.sand_figures()

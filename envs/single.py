@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 
 from mjgranular.envs.cameras import RENDER_MODES, Cameras
+from mjgranular.envs.figures import BAD
 from mjgranular.envs.task import State, Task, check_actions, get_task
 
 
@@ -113,15 +114,16 @@ class SandEnv(gym.Env[np.ndarray, np.ndarray]):
         mujoco.mj_step(self.model, self.data, nstep=task.frame_skip)
         state.found.clear()
         terms = task.rewards(before, action, state)
-        info = task.reset_info(state) | task.progress(before, state) | terms
+        lost = any(self.data.warning[bad].number for bad in BAD)
+        only_step = task.progress(before, state) | terms | {"sand/lost": np.array([lost])}
         if self.render_mode == "human":
             self.render()
         return (
             task.observation(state)[0],
-            float(task.total(terms)[0]),
-            bool(task.terminated(state)[0]),
+            0.0 if lost else float(task.total(terms)[0]),
+            lost or bool(task.terminated(state)[0]),
             False,  # the time limit is in a wrapper
-            first_of(info),
+            first_of(task.reset_info(state) | only_step),
         )
 
     def render(self) -> np.ndarray | None:

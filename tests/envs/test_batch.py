@@ -10,7 +10,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.env_util import make_vec_env as make_dummy
 
 from mjgranular import InputError
-from mjgranular.envs import SandVectorEnv, tasks
+from mjgranular.envs import SandVectorEnv, on_sand, tasks
 from mjgranular.envs.ids import id_of
 from mjgranular.envs.sb3 import SandVecEnv, make_vec_env
 from mjgranular.envs.single import SandEnv
@@ -78,6 +78,25 @@ def test_episodes_may_begin_in_the_step_that_ends_the_last(name):
     for _ in range(25):
         actions = sync.action_space.sample()
         assert_same(sync.step(actions), batch.step(actions))
+
+
+def test_what_diverges_ends_its_episode_with_no_reward():
+    """MuJoCo resets it within the step: sand, controls and data of the episode are gone."""
+    sync, batch = pair("Hopper", randomise={"strength": (0.3, 0.5)})
+    sandy = on_sand("Hopper-v5", randomise={"strength": (0.3, 0.5)})
+    action = np.zeros((NUM, 3), np.float32)
+    for env in (sync, batch, sandy):
+        env.reset(seed=0)
+    for data in (sync.envs[1].unwrapped.data, sandy.unwrapped.data):
+        data.qvel[0] = np.inf
+    batch.unwrapped.state.qvel[1, 0] = np.inf
+    for lost in ([False, True, False], [False, False, False]):
+        steps = [env.step(action) for env in (sync, batch)]
+        assert_same(*steps)
+        assert steps[0][2].tolist() == lost == steps[0][4]["sand/lost"].tolist()
+    assert steps[0][1][1] == 0.0
+    _, reward, terminated, _, info = sandy.step(action[0])
+    assert (reward, terminated, info["sand/lost"]) == (0.0, True, True)
 
 
 def test_some_may_be_reset():

@@ -160,6 +160,6 @@ def test_each_world_has_its_motors_and_a_critic_knows_them(robots, warp_env):
 
     worlds.batch.bind("qvel")[0, 0] = np.nan
     info = worlds.step(np.zeros((3, 12), np.float32))[-1]
-    assert info["sand/lost"].tolist() == [True, False, False]
+    assert info["final_info"]["sand/lost"].tolist() == [True, False, False]
     ended = info["final_info"]["privileged"][0, 13:]
     np.testing.assert_allclose(ended, privileged[0, 13:], rtol=1e-6)
