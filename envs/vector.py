@@ -88,7 +88,7 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._randoms: list[np.random.Generator | None] = [None] * num_envs
         self._seeds: list[int | None] = [None] * num_envs
         self._episodes = np.zeros(num_envs, int)
-        self._elapsed = np.zeros(num_envs, int)
+        self.elapsed = np.zeros(num_envs, int)
         self._over = np.zeros(num_envs, bool)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -172,14 +172,14 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             ids = None if not again.any() else np.flatnonzero(stepped)
             self.batch.step(ids, nstep=task.frame_skip)
             state.found.clear()
-        self._elapsed += 1
+        self.elapsed += 1
         terms, lost = task.rewards(before, actions, state), self._find_lost()
         only_step = task.progress(before, state) | terms | {"sand/lost": lost}
         rewards = np.where(again | lost, 0.0, task.total(terms))
         terminated = task.terminated(state) | lost
         truncated = np.zeros(self.num_envs, bool)
         if self.max_episode_steps is not None:
-            truncated = self._elapsed >= self.max_episode_steps
+            truncated = self.elapsed >= self.max_episode_steps
         info: dict[str, Any] = {}
         if again.any():
             self._begin(np.flatnonzero(again), task.randomise)
@@ -233,7 +233,7 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             samples.append(sample)
             starts.append(task.begin(random, sample))
         self._episodes[ids] += 1
-        self._elapsed[ids] = 0
+        self.elapsed[ids] = 0
         self._over[ids] = False
         self.batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE.value)
         for number, sample, start in zip(ids, samples, starts, strict=True):

@@ -143,6 +143,19 @@ def test_what_has_no_place_is_said(warp_env):
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of packages that RSL-RL imports
+def test_runners_of_rsl_rl_end_first_episodes_at_different_times():
+    torch = pytest.importorskip("torch")
+    pytest.importorskip("rsl_rl.env")
+    from mjgranular.envs.rsl import RslVecEnv
+
+    env = RslVecEnv(SandVectorEnv("Hopper", 3, max_episode_steps=9, autoreset_mode="SameStep"))
+    env.episode_length_buf = torch.tensor([2, 8, 5])  # as `learn(..., init_at_random_ep_len=True)`
+    over = [env.step(torch.zeros(3, 3))[2].tolist() for _ in range(7)]
+    assert [ends.index(True) for ends in zip(*over, strict=True)] == [6, 0, 3]
+    assert env.episode_length_buf.tolist() == [0, 6, 3]
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of packages that RSL-RL imports
 def test_each_world_has_its_motors_and_a_critic_knows_them(robots, warp_env):
     pytest.importorskip("rsl_rl.env")
     from mjgranular.envs.rsl import RslVecEnv
