@@ -20,7 +20,9 @@ import warp as wp  # noqa: E402
 
 from mjgranular.warp import WarpSand, coupled  # noqa: E402
 
-_INPUTS = ("qpos", "qvel", "ctrl")
+_ALWAYS = ("qpos", "qvel", "ctrl")
+_STATE = (*_ALWAYS, "act", "qfrc_applied", "xfrc_applied", "mocap_pos", "mocap_quat", "eq_active")
+"""Fields that a task may write to, if it reads them."""
 
 
 class Worlds:
@@ -63,7 +65,7 @@ class Worlds:
         self._rows = [model.body(name).id for name in self._sand.bodies]
         self._numbers: dict[str, np.ndarray] = {}
         self._arrays: dict[str, np.ndarray] = {}
-        for name in _INPUTS:
+        for name in _ALWAYS:
             self.bind(name)
         if task.randomise is None:
             # State of the memory of the task's own sand, which is not used.
@@ -100,7 +102,7 @@ class Worlds:
 
     def step(self, ids: np.ndarray | None = None, nstep: int = 1) -> None:
         """Step all worlds; reset those that are not in `ids` before reading them."""
-        self._write(_INPUTS)  # a task may push its robots
+        self._write()  # a task may push its robots
         device = self._d.qpos.device
         if device.is_cuda:
             if nstep not in self._graphs:
@@ -129,7 +131,7 @@ class Worlds:
 
     def forward(self, ids: np.ndarray) -> None:
         """Write worlds' state, sand and numbers, and compute the derived quantities."""
-        self._write(_INPUTS)
+        self._write()
         for name in ("qacc_warmstart", "act", "time"):
             field = getattr(self._d, name)
             values = field.numpy()
@@ -146,10 +148,6 @@ class Worlds:
         mjw.forward(self._m, self._d)
         self._read(ids)
 
-    def volumes(self) -> dict[str, np.ndarray]:
-        """Return the volumes of sand that each world has moved; see `WarpSand.volumes`."""
-        return self._sand.volumes()
-
     def get_model(self, number: int) -> mujoco.MjModel:
         """Return the task's model, with the numbers of a world."""
         for name, values in self._numbers.items():
@@ -159,7 +157,7 @@ class Worlds:
     def get_data(self, number: int) -> mujoco.MjData:
         """Return the state of a world."""
         data = mujoco.MjData(self._full)
-        for name in _INPUTS:
+        for name in self._arrays.keys() & _STATE:
             getattr(data, name)[:] = self._arrays[name][number]
         return data
 
@@ -169,9 +167,9 @@ class Worlds:
         if "cfrc_ext" in self._arrays:
             mjw.rne_postconstraint(self._m, self._d)
 
-    def _write(self, names: tuple[str, ...]) -> None:
-        for name in names:
-            getattr(self._d, name).assign(self._arrays[name].astype(np.float32))
+    def _write(self) -> None:
+        for name in self._arrays.keys() & _STATE:
+            getattr(self._d, name).assign(self._arrays[name])
 
     def _read(self, ids: np.ndarray | None) -> None:
         """Read the bound arrays, of all worlds or of some."""

@@ -1,6 +1,7 @@
 """Tasks in MuJoCo Warp, on its CPU back end, against the same tasks on the processor."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import mujoco
 import numpy as np
@@ -100,6 +101,32 @@ def test_a_world_that_is_lost_begins_anew_and_the_others_go_on(warp_env):
     assert not terminated.any()
 
 
+def test_a_task_may_write_to_what_it_reads(warp_env):
+    @dataclass(frozen=True, kw_only=True)
+    class Led(DiscreteHopper):
+        reads: ClassVar[tuple[str, ...]] = ("xfrc_applied", "mocap_pos")
+
+        def robot(self):
+            spec = super().robot()
+            hand = spec.worldbody.add_body(name="hand", mocap=True, pos=[0, 0, 1.25])
+            weld = mujoco.mjtEq.mjEQ_WELD, mujoco.mjtObj.mjOBJ_BODY
+            spec.add_equality(type=weld[0], objtype=weld[1], name1="torso", name2=hand.name)
+            return spec
+
+        def act(self, action, state):
+            state.xfrc_applied[:, 1, 2], state.mocap_pos[:, 0, 2] = 50.0, 1.3
+            return action
+
+    seen = []
+    for env in both(warp_env, Led()):
+        env.reset(seed=0)
+        for _ in range(5):
+            observation = env.step(np.zeros((3, 3)))[0]
+        seen.append(observation[:, 0])
+    np.testing.assert_allclose(*seen, atol=1e-4)
+    assert seen[0].min() > 1.27  # untouched it falls
+
+
 def test_worlds_remember_until_their_episode_ends(warp_env):
     """Through the fall into the sand; then one world is begun anew."""
     envs = both(warp_env, DiscreteHopper(memory=True), max_episode_steps=40)
@@ -111,11 +138,11 @@ def test_worlds_remember_until_their_episode_ends(warp_env):
         one, other = (env.step(action) for env in envs)
         np.testing.assert_allclose(one[0][:, :5], other[0][:, :5], atol=0.03)
     batch = envs[0].batch
-    pressed = batch.volumes()["pressed"]
+    pressed = batch._sand.volumes()["pressed"]
     assert (pressed > 1e-6).all()
     batch.reset(np.array([1]))
     batch.forward(np.array([1]))
-    np.testing.assert_array_equal(batch.volumes()["pressed"], pressed * [1, 0, 1])
+    np.testing.assert_array_equal(batch._sand.volumes()["pressed"], pressed * [1, 0, 1])
 
 
 def test_what_has_no_place_is_said(warp_env):
