@@ -36,6 +36,7 @@ class Worlds:
 
     def __init__(self, task: Task, count: int, device: str | None = None) -> None:
         self._task, self._count, self._full = task, count, task.model
+        self._fresh = mujoco.MjData(self._full)
         if len(task.sands) > 1:
             raise InputError(
                 "in MuJoCo Warp all worlds have one law and one surface: leave media, laws and "
@@ -77,8 +78,7 @@ class Worlds:
     def bind(self, name: str) -> np.ndarray:
         """Return the array of a field of `mjData`, shape (n, ...)."""
         if name not in self._arrays:
-            data = mujoco.MjData(self._full)
-            value = np.asarray(getattr(data, name))
+            value = np.asarray(getattr(self._fresh, name))
             if not hasattr(self._d, name) and name not in ("plugin_state", "userdata"):
                 raise InputError(f"MuJoCo Warp's data have no {name}, which this task reads")
             self._arrays[name] = np.tile(value.astype(float), (self._count,) + (1,) * value.ndim)
@@ -125,17 +125,16 @@ class Worlds:
 
     def reset(self, ids: np.ndarray, stage: int = 0) -> None:
         """Reset worlds to the model's initial state."""
-        data = mujoco.MjData(self._full)
         for name, value in self._arrays.items():
-            value[ids] = getattr(data, name) if value.size else 0.0
+            value[ids] = getattr(self._fresh, name) if value.size else 0.0
 
     def forward(self, ids: np.ndarray) -> None:
         """Write worlds' state, sand and numbers, and compute the derived quantities."""
         self._write()
-        for name in ("qacc_warmstart", "act", "time"):
+        for name in ("qacc_warmstart", "act", "time", "history", "plastic"):
             field = getattr(self._d, name)
             values = field.numpy()
-            values[ids] = 0.0
+            values[ids] = getattr(self._fresh, name)
             field.assign(values)
         if self._drawn.shape[1]:
             first = self._full.plugin_stateadr[instance_of(self._full, self._task.figures.sands[0])]

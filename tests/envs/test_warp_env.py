@@ -127,6 +127,24 @@ def test_a_task_may_write_to_what_it_reads(warp_env):
     assert seen[0].min() > 1.27  # untouched it falls
 
 
+def test_delayed_actuators_forget_the_last_episode(warp_env):
+    @dataclass(frozen=True, kw_only=True)
+    class Late(DiscreteHopper):
+        def robot(self):
+            spec = super().robot()
+            for actuator in spec.actuators:
+                actuator.delay, actuator.nsample = 0.03, 24
+            return spec
+
+    envs = both(warp_env, Late())
+    for size in (0.3, 0.0):
+        for env in envs:
+            env.reset(seed=0)
+        for _ in range(5):
+            one, other = (env.step(np.full((3, 3), size))[0] for env in envs)
+            np.testing.assert_allclose(one, other, atol=1e-4)
+
+
 def test_worlds_remember_until_their_episode_ends(warp_env):
     """Through the fall into the sand; then one world is begun anew."""
     envs = both(warp_env, DiscreteHopper(memory=True), max_episode_steps=40)
