@@ -173,13 +173,12 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             self.batch.step(ids, nstep=task.frame_skip)
             state.found.clear()
         self.elapsed += 1
-        terms, lost = task.rewards(before, actions, state), self._find_lost()
+        lost = self.batch.warning[:, BAD, 1].any(axis=1)
+        terms = task.rewards(before, actions, state)
         only_step = task.progress(before, state) | terms | {"sand/lost": lost}
         rewards = np.where(again | lost, 0.0, task.total(terms))
         terminated = task.terminated(state) | lost
-        truncated = np.zeros(self.num_envs, bool)
-        if self.max_episode_steps is not None:
-            truncated = self.elapsed >= self.max_episode_steps
+        truncated = self.elapsed >= (self.max_episode_steps or np.inf)
         info: dict[str, Any] = {}
         if again.any():
             self._begin(np.flatnonzero(again), task.randomise)
@@ -212,10 +211,6 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     def _make_batch(self, threads: int) -> Any:
         """Make the stepper of the simulations, with the methods of `mujoco.batch.Batch`."""
         return Batch(self.task.model, self.num_envs, threads)
-
-    def _find_lost(self) -> np.ndarray:
-        """Return which simulations have diverged in their episode, shape (n,)."""
-        return self.batch.warning[:, BAD, 1].any(axis=1)
 
     def _random(self, number: int) -> np.random.Generator:
         random = self._randoms[number]
@@ -275,9 +270,6 @@ class WarpVectorEnv(SandVectorEnv):
         from mjgranular.envs.worlds import Worlds  # imports MuJoCo Warp only when needed
 
         return Worlds(self.task, self.num_envs, self._device)
-
-    def _find_lost(self) -> np.ndarray:
-        return self.batch.lost
 
 
 def _add(info: dict[str, Any], values: dict[str, np.ndarray], mask: np.ndarray) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 from mjgranular._util.checks import require
 from mjgranular.engine.instances import instance_of
 from mjgranular.engine.tuning import DENSITY, HEIGHT, INITIAL, STRENGTH
+from mjgranular.envs.figures import BAD
 from mjgranular.envs.ground import place, quiet
 from mjgranular.envs.task import Task
 from mjgranular.errors import InputError
@@ -30,8 +31,8 @@ class Worlds:
 
     Bound arrays are in this process: they are read from the device after each step, and written to
     it before the next. The model has `WarpSand` in place of the task's plugin, and the integrator
-    `discrete`. `lost` are the worlds whose state became NaN in the last step, shape (n,); they are
-    reset to the model's initial state.
+    `discrete`. `warning`, as in a batch, is of worlds whose state became NaN in the last step; they
+    are reset to the model's initial state.
     """
 
     def __init__(self, task: Task, count: int, device: str | None = None) -> None:
@@ -73,7 +74,7 @@ class Worlds:
             self._arrays["plugin_state"] = np.zeros((count, 0))
         self._drawn = self.bind("plugin_state")
         self._graphs: dict[int, Any] = {}
-        self.lost = np.zeros(count, bool)
+        self.warning = np.zeros((count, len(mujoco.mjtWarning.__members__), 2), int)
 
     def bind(self, name: str) -> np.ndarray:
         """Return the array of a field of `mjData`, shape (n, ...)."""
@@ -114,9 +115,10 @@ class Worlds:
             self._steps(nstep)
         self._read(None)
         finite = [np.isfinite(self._arrays[name]).all(1) for name in ("qpos", "qvel")]
-        self.lost = ~(finite[0] & finite[1])
-        if self.lost.any():
-            ids, drawn = np.flatnonzero(self.lost), self._arrays.get("userdata")
+        lost = ~(finite[0] & finite[1])
+        self.warning[:, BAD[0], 1] = lost
+        if lost.any():
+            ids, drawn = np.flatnonzero(lost), self._arrays.get("userdata")
             kept = None if drawn is None else drawn[ids]  # what the episode has drawn goes on
             self.reset(ids)
             if drawn is not None:
