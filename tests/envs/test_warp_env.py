@@ -63,6 +63,9 @@ def test_episodes_are_those_of_the_processor(warp_env):
                 env.reset(seed=step)
             continue
         np.testing.assert_allclose(one[1], other[1], atol=0.2)
+        if step < 16:  # the fall into the sand
+            speeds = [out[4]["sand/froude"] for out in (one, other)]
+            np.testing.assert_allclose(*speeds, rtol=0.01)
         ends += int((one[2] | one[3]).sum())
         forces.append([out[4]["sand/force"] for out in (one, other)])
         assert not one[4]["sand/lost"].any()
