@@ -44,8 +44,7 @@ def on_sand(
     - a model with RK4 is integrated with `implicitfast`, so that sand can hold a body at rest;
     - `cfrc_ext`, which some environments observe or penalize, includes the sand's forces in
       addition to those of contacts;
-    - `info` has the sand's metrics (docs/environments.md); a simulation that diverges ends its
-      episode with a reward of 0.
+    - `info` has the sand's metrics (docs/environments.md); what diverges ends its episode.
 
     Args:
         environment: a class that derives from `MujocoEnv`, or the id of an environment of such a

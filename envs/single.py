@@ -1,5 +1,6 @@
 """One simulation of a task, as a Gymnasium environment."""
 
+import copy
 from functools import partial
 from operator import attrgetter
 from typing import Any
@@ -44,8 +45,8 @@ class SandEnv(gym.Env[np.ndarray, np.ndarray]):
         **options: Any,
     ) -> None:
         self.task = get_task(task, options)
-        # A separate model: numbers that are drawn, such as gravity, differ between simulations.
-        self.model = self.task.model
+        # A copy: what is drawn, such as gravity, stays as built in the model of the task.
+        self.model = copy.copy(self.task.model)
         self.data = mujoco.MjData(self.model)
         self.metadata = {**self.metadata, "render_fps": round(1 / self.task.dt)}
         self.render_mode = render_mode
@@ -56,7 +57,6 @@ class SandEnv(gym.Env[np.ndarray, np.ndarray]):
         self._episodes = 0
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # The task is an argument, so that a copy has another model.
         return partial(SandEnv, **self.cameras.settings), (self.task,)
 
     @property

@@ -253,10 +253,9 @@ class WarpVectorEnv(SandVectorEnv):
     """A task with many simulations, stepped by MuJoCo Warp on a GPU or on the processor.
 
     Observations, rewards, ends, `info` and seeds are as for `SandVectorEnv`, in single precision
-    and with the integrator `discrete` (docs/warp.md).
-
-    `device` is Warp's: "cuda:0", "cpu"; None for a GPU if there is one. Other arguments are as for
-    `SandVectorEnv`; sand that Warp does not support, as a medium per world, is an `InputError`.
+    and with the integrator `discrete` (docs/warp.md). `device` is Warp's: "cuda:0", "cpu"; None for
+    a GPU if there is one. Other arguments are as for `SandVectorEnv`; sand that Warp does not
+    support, as a medium per world, is an `InputError`.
     """
 
     def __init__(

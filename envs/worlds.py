@@ -1,5 +1,6 @@
 """The worlds of MuJoCo Warp for `SandVectorEnv`, with the methods of `mujoco.batch.Batch`."""
 
+import copy
 from operator import attrgetter
 from typing import Any
 
@@ -23,7 +24,6 @@ from mjgranular.warp import WarpSand, coupled  # noqa: E402
 
 _ALWAYS = ("qpos", "qvel", "ctrl")
 _STATE = (*_ALWAYS, "act", "qfrc_applied", "xfrc_applied", "mocap_pos", "mocap_quat", "eq_active")
-"""Fields that a task may write to, if it reads them."""
 
 
 class Worlds:
@@ -103,7 +103,7 @@ class Worlds:
 
     def step(self, ids: np.ndarray | None = None, nstep: int = 1) -> None:
         """Step all worlds; reset those that are not in `ids` before reading them."""
-        self._write()  # a task may push its robots
+        self._write()  # a task may write to what it reads
         device = self._d.qpos.device
         if device.is_cuda:
             if nstep not in self._graphs:
@@ -151,9 +151,10 @@ class Worlds:
 
     def get_model(self, number: int) -> mujoco.MjModel:
         """Return the task's model, with the numbers of a world."""
+        model = copy.copy(self._full)
         for name, values in self._numbers.items():
-            attrgetter(name)(self._full)[:] = values[number]
-        return self._full
+            attrgetter(name)(model)[:] = values[number]
+        return model
 
     def get_data(self, number: int) -> mujoco.MjData:
         """Return the state of a world."""
