@@ -50,12 +50,12 @@ class Cameras:
         if self.mode == "human":
             return self._show(model, data)
         if self._renderer is None:
-            screen = self._task.model.vis.global_
+            screen = model.vis.global_
             screen.offwidth = max(screen.offwidth, self.width)
             screen.offheight = max(screen.offheight, self.height)
             with drawing():
-                self._renderer = mujoco.Renderer(self._task.model, self.height, self.width)
-        self._task.model.geom_rgba[:] = model.geom_rgba
+                self._renderer = mujoco.Renderer(model, self.height, self.width)
+        self._renderer.model.geom_rgba[:] = model.geom_rgba
         self._renderer.update_scene(data, self.camera_name or _free(self._task.camera))
         return self._renderer.render()
 

@@ -14,11 +14,14 @@ from mjgranular.sand.material import material_of
 from mjgranular.sand.prepare import geoms_in_sand
 from mjgranular.surface.choice import surface_of
 
+BAD = [int(bad) for bad in mujoco.mjtWarning.__members__.values() if "BADQ" in bad.name]
+"""Warnings of MuJoCo that a simulation has diverged; most likely it has been reset then."""
+
 
 class Figures:
     """Reads the sensors that `put_on_sand` has added, or `readings` that stand in for them.
 
-    `sands` are the names of the instances, `gravity` is its magnitude on level ground [m/s^2].
+    `sands` are the names of the instances, `gravity` is that of the model [m/s^2], shape (3,).
     """
 
     def __init__(
@@ -31,10 +34,10 @@ class Figures:
         # Where the readings of each sand begin: force, depth, power, speed.
         sensors = [int(model.sensor(f"sand/force/{name}").adr[0]) for name in names if not readings]
         self._blocks = readings.together if readings else sensors
-        self.gravity = float(np.linalg.norm(model.opt.gravity))
+        self.gravity = model.opt.gravity.copy()
         limits = [_limits_of(model, sand) for sand in sands]
         width, self._froude, self._depth, self._slope = np.array([some for some, _ in limits]).T
-        self._per_speed = 1 / np.sqrt(self.gravity * width)  # Froude number of 1 m/s
+        self._per_speed = 1 / np.sqrt(np.linalg.norm(self.gravity) * width)  # Froude of 1 m/s
         self._found = [found for _, found in limits]
 
     def read(

@@ -249,8 +249,8 @@ class Sample:
         factors = {"strength": self.strength, "density": self.density}
         for number, name in enumerate(figures.sands):
             tune(model, plugin_state, name, active=float(number == self.active), **factors)
-        down = figures.gravity
-        gravity[:] = -down * math.sin(self.slope), 0.0, -down * math.cos(self.slope)
+        (x, y, z), sine, cosine = figures.gravity, math.sin(self.slope), math.cos(self.slope)
+        gravity[:] = x * cosine + z * sine, y, z * cosine - x * sine
 
 
 def sampled_info(choices: Sequence[Choice], state: Any) -> dict[str, np.ndarray]:

@@ -16,7 +16,7 @@ from mjgranular._util.checks import check_count
 from mjgranular.engine import rne_post_constraint
 from mjgranular.engine.instances import sands_in
 from mjgranular.engine.sensor import SandReadings
-from mjgranular.envs.figures import Figures
+from mjgranular.envs.figures import BAD, Figures
 from mjgranular.envs.ground import converted_errors, put_on_sand, quiet
 from mjgranular.envs.ids import creator_of, find_spec
 from mjgranular.envs.ranges import Sample, SandRanges, choices_of, ranges_of, sampled_info
@@ -44,10 +44,7 @@ def on_sand(
     - a model with RK4 is integrated with `implicitfast`, so that sand can hold a body at rest;
     - `cfrc_ext`, which some environments observe or penalize, includes the sand's forces in
       addition to those of contacts;
-    - `info` has the sand's metrics, `sand/force`, `sand/depth`, `sand/power`, `sand/froude`,
-      `sand/valid` and `sand/error` (`mjgranular.envs.figures`).
-
-    Healthy ranges are unchanged: robots sink in by millimeters to centimeters.
+    - `info` has the sand's metrics (docs/environments.md); what diverges ends its episode.
 
     Args:
         environment: a class that derives from `MujocoEnv`, or the id of an environment of such a
@@ -67,8 +64,8 @@ def on_sand(
     Raises:
         UnknownNameError: no such environment; lists Gymnasium's MuJoCo robots.
         UnknownArgumentError: an option of neither the sand, nor the environment.
-        InputError: an environment that is not a `MujocoEnv`, or has no floor if no surface is
-            given; or an error from `add_sand`.
+        InputError: an environment that is not a `MujocoEnv`, that makes its simulation itself, or
+            has no floor if no surface is given; or an error from `add_sand`.
     """
     spec = _find(environment)
     _check_options(spec, options)
@@ -166,7 +163,9 @@ class OnSand(MujocoEnv):
 
     def step(self, action: Any) -> Any:
         observation, reward, terminated, truncated, info = super().step(action)
-        return observation, reward, terminated, truncated, info | self.sand_figures()
+        lost = any(self.data.warning[bad].number for bad in BAD)
+        info |= self.sand_figures() | {"sand/lost": lost}
+        return observation, 0.0 if lost else reward, terminated or lost, truncated, info
 
     def _get_reset_info(self) -> dict[str, Any]:
         return super()._get_reset_info() | self.sand_figures()
@@ -202,6 +201,11 @@ def _find(environment: Any) -> EnvSpec:
             f"{spec.id} is not one of Gymnasium's MuJoCo environments: on_sand takes classes that "
             f"derive from MujocoEnv, such as {', '.join(_robots())}; for any other there is "
             "add_sand, for its MjSpec"
+        )
+    if base._initialize_simulation is not MujocoEnv._initialize_simulation:
+        raise InputError(
+            f"{spec.id} has its own _initialize_simulation, which on_sand replaces: change the "
+            "model in its file, or in __init__ after super().__init__()"
         )
     return spec
 

@@ -41,13 +41,20 @@ class RslVecEnv(VecEnv):
         self.max_episode_length = env.max_episode_steps
         self.device = torch.device(device or "cpu")
         self.cfg = {"task": type(env.task).__name__, **env.task.options()}
-        self.episode_length_buf = torch.zeros(self.num_envs, dtype=torch.long, device=self.device)
         self._observations = self._seen(*env.reset())
 
     def seed(self, seed: int) -> None:
         """Restart all episodes, from a seed."""
         self._observations = self._seen(*self.env.reset(seed=seed))
-        self.episode_length_buf.zero_()
+
+    @property
+    def episode_length_buf(self) -> torch.Tensor:  # pyright: ignore
+        """Steps of the episodes, (num_envs,); runners set it to end the first ones apart."""
+        return torch.tensor(self.env.elapsed, device=self.device)
+
+    @episode_length_buf.setter
+    def episode_length_buf(self, steps: torch.Tensor) -> None:
+        self.env.elapsed[:] = steps.cpu()
 
     def get_observations(self) -> TensorDict:
         return self._observations
@@ -61,8 +68,6 @@ class RslVecEnv(VecEnv):
         wanted = np.clip(wanted, space.low, space.high)  # pyright: ignore[reportAttributeAccessIssue]
         observations, rewards, terminated, truncated, info = self.env.step(wanted)
         over = torch.as_tensor(terminated | truncated, device=self.device)
-        self.episode_length_buf += 1
-        self.episode_length_buf[over] = 0
         self._observations = self._seen(observations, info)
         rewards = torch.as_tensor(rewards, dtype=torch.float32, device=self.device)
         late = torch.as_tensor(truncated & ~terminated, device=self.device)

@@ -1,5 +1,6 @@
 """One simulation of a task, as a Gymnasium environment."""
 
+import copy
 from functools import partial
 from operator import attrgetter
 from typing import Any
@@ -9,6 +10,7 @@ import mujoco
 import numpy as np
 
 from mjgranular.envs.cameras import RENDER_MODES, Cameras
+from mjgranular.envs.figures import BAD
 from mjgranular.envs.task import State, Task, check_actions, get_task
 
 
@@ -43,8 +45,8 @@ class SandEnv(gym.Env[np.ndarray, np.ndarray]):
         **options: Any,
     ) -> None:
         self.task = get_task(task, options)
-        # A separate model: numbers that are drawn, such as gravity, differ between simulations.
-        self.model = self.task.model
+        # A copy: what is drawn, such as gravity, stays as built in the model of the task.
+        self.model = copy.copy(self.task.model)
         self.data = mujoco.MjData(self.model)
         self.metadata = {**self.metadata, "render_fps": round(1 / self.task.dt)}
         self.render_mode = render_mode
@@ -55,7 +57,6 @@ class SandEnv(gym.Env[np.ndarray, np.ndarray]):
         self._episodes = 0
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # The task is an argument, so that a copy has another model.
         return partial(SandEnv, **self.cameras.settings), (self.task,)
 
     @property
@@ -113,15 +114,16 @@ class SandEnv(gym.Env[np.ndarray, np.ndarray]):
         mujoco.mj_step(self.model, self.data, nstep=task.frame_skip)
         state.found.clear()
         terms = task.rewards(before, action, state)
-        info = task.reset_info(state) | task.progress(before, state) | terms
+        lost = any(self.data.warning[bad].number for bad in BAD)
+        only_step = task.progress(before, state) | terms | {"sand/lost": np.array([lost])}
         if self.render_mode == "human":
             self.render()
         return (
             task.observation(state)[0],
-            float(task.total(terms)[0]),
-            bool(task.terminated(state)[0]),
+            0.0 if lost else float(task.total(terms)[0]),
+            lost or bool(task.terminated(state)[0]),
             False,  # the time limit is in a wrapper
-            first_of(info),
+            first_of(task.reset_info(state) | only_step),
         )
 
     def render(self) -> np.ndarray | None:

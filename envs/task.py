@@ -14,6 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, partial
 from numbers import Real
+from operator import attrgetter
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, ClassVar
@@ -49,7 +50,7 @@ class Start:
         qpos: positions, shape (nq,).
         qvel: velocities, shape (nv,).
         userdata: other data of the episode, shape (nuserdata,).
-        numbers: fields of the model in this episode, of those that are `varied`.
+        numbers: fields of the model in this episode, of those `varied`; others are as built.
     """
 
     qpos: np.ndarray
@@ -289,8 +290,8 @@ class Task(SandSpec, ABC):
         state.qpos[row], state.qvel[row] = start.qpos, start.qvel
         if start.userdata is not None:
             state.userdata[row] = start.userdata
-        for name, value in start.numbers.items():
-            numbers[name][:] = value
+        for name in numbers.keys() | start.numbers.keys():
+            numbers[name][:] = start.numbers.get(name, attrgetter(name)(self.model))
         if sample is not None:
             sample.lay(self.model, self.figures, plugin_state, numbers["opt.gravity"])
             for name in ("active", "strength", "density", "slope"):

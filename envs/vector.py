@@ -13,6 +13,7 @@ from mujoco.batch import Batch
 
 from mjgranular._util.checks import check_count, kind_of
 from mjgranular.envs.cameras import RENDER_MODES, Cameras
+from mjgranular.envs.figures import BAD
 from mjgranular.envs.ranges import SandRanges
 from mjgranular.envs.task import State, Task, check_actions, get_task
 from mjgranular.errors import InputError, UnknownNameError
@@ -87,7 +88,7 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._randoms: list[np.random.Generator | None] = [None] * num_envs
         self._seeds: list[int | None] = [None] * num_envs
         self._episodes = np.zeros(num_envs, int)
-        self._elapsed = np.zeros(num_envs, int)
+        self.elapsed = np.zeros(num_envs, int)
         self._over = np.zeros(num_envs, bool)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -171,18 +172,16 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             ids = None if not again.any() else np.flatnonzero(stepped)
             self.batch.step(ids, nstep=task.frame_skip)
             state.found.clear()
-        self._elapsed += 1
+        self.elapsed += 1
+        lost = self.batch.warning[:, BAD, 1].any(axis=1)
         terms = task.rewards(before, actions, state)
-        only_step = task.progress(before, state) | terms
-        rewards = np.array(task.total(terms), float)
-        terminated = self._terminated()
-        truncated = np.zeros(self.num_envs, bool)
-        if self.max_episode_steps is not None:
-            truncated = self._elapsed >= self.max_episode_steps
+        only_step = task.progress(before, state) | terms | {"sand/lost": lost}
+        rewards = np.where(again | lost, 0.0, task.total(terms))
+        terminated = task.terminated(state) | lost
+        truncated = self.elapsed >= (self.max_episode_steps or np.inf)
         info: dict[str, Any] = {}
         if again.any():
             self._begin(np.flatnonzero(again), task.randomise)
-            rewards[again] = 0.0
             terminated[again] = truncated[again] = False
         over = terminated | truncated
         self._over = over.copy()  # `_begin` changes it
@@ -213,10 +212,6 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         """Make the stepper of the simulations, with the methods of `mujoco.batch.Batch`."""
         return Batch(self.task.model, self.num_envs, threads)
 
-    def _terminated(self) -> np.ndarray:
-        """Return which episodes are over, shape (n,)."""
-        return np.array(self.task.terminated(self._state))
-
     def _random(self, number: int) -> np.random.Generator:
         random = self._randoms[number]
         if random is None:
@@ -233,7 +228,7 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             samples.append(sample)
             starts.append(task.begin(random, sample))
         self._episodes[ids] += 1
-        self._elapsed[ids] = 0
+        self.elapsed[ids] = 0
         self._over[ids] = False
         self.batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE.value)
         for number, sample, start in zip(ids, samples, starts, strict=True):
@@ -258,11 +253,9 @@ class WarpVectorEnv(SandVectorEnv):
     """A task with many simulations, stepped by MuJoCo Warp on a GPU or on the processor.
 
     Observations, rewards, ends, `info` and seeds are as for `SandVectorEnv`, in single precision
-    and with the integrator `discrete` (docs/warp.md). A world whose state becomes NaN ends its
-    episode, with `info["sand/lost"]`; the others continue.
-
-    `device` is Warp's: "cuda:0", "cpu"; None for a GPU if there is one. Other arguments are as for
-    `SandVectorEnv`; sand that Warp does not support, as a medium per world, is an `InputError`.
+    and with the integrator `discrete` (docs/warp.md). `device` is Warp's: "cuda:0", "cpu"; None for
+    a GPU if there is one. Other arguments are as for `SandVectorEnv`; sand that Warp does not
+    support, as a medium per world, is an `InputError`.
     """
 
     def __init__(
@@ -272,18 +265,10 @@ class WarpVectorEnv(SandVectorEnv):
         super().__init__(task, num_envs, **kwargs)
         self._settings["device"] = device
 
-    def step(self, actions: Any) -> Any:
-        *found, info = super().step(actions)
-        info["sand/lost"] = self.batch.lost.copy()
-        return *found, info
-
     def _make_batch(self, threads: int) -> Any:
         from mjgranular.envs.worlds import Worlds  # imports MuJoCo Warp only when needed
 
         return Worlds(self.task, self.num_envs, self._device)
-
-    def _terminated(self) -> np.ndarray:
-        return super()._terminated() | self.batch.lost
 
 
 def _add(info: dict[str, Any], values: dict[str, np.ndarray], mask: np.ndarray) -> None:

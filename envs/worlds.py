@@ -1,5 +1,6 @@
 """The worlds of MuJoCo Warp for `SandVectorEnv`, with the methods of `mujoco.batch.Batch`."""
 
+import copy
 from operator import attrgetter
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 from mjgranular._util.checks import require
 from mjgranular.engine.instances import instance_of
 from mjgranular.engine.tuning import DENSITY, HEIGHT, INITIAL, STRENGTH
+from mjgranular.envs.figures import BAD
 from mjgranular.envs.ground import place, quiet
 from mjgranular.envs.task import Task
 from mjgranular.errors import InputError
@@ -20,7 +22,8 @@ import warp as wp  # noqa: E402
 
 from mjgranular.warp import WarpSand, coupled  # noqa: E402
 
-_INPUTS = ("qpos", "qvel", "ctrl")
+_ALWAYS = ("qpos", "qvel", "ctrl")
+_STATE = (*_ALWAYS, "act", "qfrc_applied", "xfrc_applied", "mocap_pos", "mocap_quat", "eq_active")
 
 
 class Worlds:
@@ -28,12 +31,13 @@ class Worlds:
 
     Bound arrays are in this process: they are read from the device after each step, and written to
     it before the next. The model has `WarpSand` in place of the task's plugin, and the integrator
-    `discrete`. `lost` are the worlds whose state became NaN in the last step, shape (n,); they are
-    reset to the model's initial state.
+    `discrete`. `warning`, as in a batch, is of worlds whose state became NaN in the last step; they
+    are reset to the model's initial state.
     """
 
     def __init__(self, task: Task, count: int, device: str | None = None) -> None:
         self._task, self._count, self._full = task, count, task.model
+        self._fresh = mujoco.MjData(self._full)
         if len(task.sands) > 1:
             raise InputError(
                 "in MuJoCo Warp all worlds have one law and one surface: leave media, laws and "
@@ -63,20 +67,19 @@ class Worlds:
         self._rows = [model.body(name).id for name in self._sand.bodies]
         self._numbers: dict[str, np.ndarray] = {}
         self._arrays: dict[str, np.ndarray] = {}
-        for name in _INPUTS:
+        for name in _ALWAYS:
             self.bind(name)
         if task.randomise is None:
             # State of the memory of the task's own sand, which is not used.
             self._arrays["plugin_state"] = np.zeros((count, 0))
         self._drawn = self.bind("plugin_state")
         self._graphs: dict[int, Any] = {}
-        self.lost = np.zeros(count, bool)
+        self.warning = np.zeros((count, len(mujoco.mjtWarning.__members__), 2), int)
 
     def bind(self, name: str) -> np.ndarray:
         """Return the array of a field of `mjData`, shape (n, ...)."""
         if name not in self._arrays:
-            data = mujoco.MjData(self._full)
-            value = np.asarray(getattr(data, name))
+            value = np.asarray(getattr(self._fresh, name))
             if not hasattr(self._d, name) and name not in ("plugin_state", "userdata"):
                 raise InputError(f"MuJoCo Warp's data have no {name}, which this task reads")
             self._arrays[name] = np.tile(value.astype(float), (self._count,) + (1,) * value.ndim)
@@ -100,7 +103,7 @@ class Worlds:
 
     def step(self, ids: np.ndarray | None = None, nstep: int = 1) -> None:
         """Step all worlds; reset those that are not in `ids` before reading them."""
-        self._write(_INPUTS)  # a task may push its robots
+        self._write()  # a task may write to what it reads
         device = self._d.qpos.device
         if device.is_cuda:
             if nstep not in self._graphs:
@@ -112,9 +115,10 @@ class Worlds:
             self._steps(nstep)
         self._read(None)
         finite = [np.isfinite(self._arrays[name]).all(1) for name in ("qpos", "qvel")]
-        self.lost = ~(finite[0] & finite[1])
-        if self.lost.any():
-            ids, drawn = np.flatnonzero(self.lost), self._arrays.get("userdata")
+        lost = ~(finite[0] & finite[1])
+        self.warning[:, BAD[0], 1] = lost
+        if lost.any():
+            ids, drawn = np.flatnonzero(lost), self._arrays.get("userdata")
             kept = None if drawn is None else drawn[ids]  # what the episode has drawn goes on
             self.reset(ids)
             if drawn is not None:
@@ -123,17 +127,16 @@ class Worlds:
 
     def reset(self, ids: np.ndarray, stage: int = 0) -> None:
         """Reset worlds to the model's initial state."""
-        data = mujoco.MjData(self._full)
         for name, value in self._arrays.items():
-            value[ids] = getattr(data, name) if value.size else 0.0
+            value[ids] = getattr(self._fresh, name) if value.size else 0.0
 
     def forward(self, ids: np.ndarray) -> None:
         """Write worlds' state, sand and numbers, and compute the derived quantities."""
-        self._write(_INPUTS)
-        for name in ("qacc_warmstart", "act", "time"):
+        self._write()
+        for name in ("qacc_warmstart", "act", "time", "history", "plastic"):
             field = getattr(self._d, name)
             values = field.numpy()
-            values[ids] = 0.0
+            values[ids] = getattr(self._fresh, name)
             field.assign(values)
         if self._drawn.shape[1]:
             first = self._full.plugin_stateadr[instance_of(self._full, self._task.figures.sands[0])]
@@ -146,20 +149,17 @@ class Worlds:
         mjw.forward(self._m, self._d)
         self._read(ids)
 
-    def volumes(self) -> dict[str, np.ndarray]:
-        """Return the volumes of sand that each world has moved; see `WarpSand.volumes`."""
-        return self._sand.volumes()
-
     def get_model(self, number: int) -> mujoco.MjModel:
         """Return the task's model, with the numbers of a world."""
+        model = copy.copy(self._full)
         for name, values in self._numbers.items():
-            attrgetter(name)(self._full)[:] = values[number]
-        return self._full
+            attrgetter(name)(model)[:] = values[number]
+        return model
 
     def get_data(self, number: int) -> mujoco.MjData:
         """Return the state of a world."""
         data = mujoco.MjData(self._full)
-        for name in _INPUTS:
+        for name in self._arrays.keys() & _STATE:
             getattr(data, name)[:] = self._arrays[name][number]
         return data
 
@@ -169,9 +169,9 @@ class Worlds:
         if "cfrc_ext" in self._arrays:
             mjw.rne_postconstraint(self._m, self._d)
 
-    def _write(self, names: tuple[str, ...]) -> None:
-        for name in names:
-            getattr(self._d, name).assign(self._arrays[name].astype(np.float32))
+    def _write(self) -> None:
+        for name in self._arrays.keys() & _STATE:
+            getattr(self._d, name).assign(self._arrays[name])
 
     def _read(self, ids: np.ndarray | None) -> None:
         """Read the bound arrays, of all worlds or of some."""

@@ -203,7 +203,7 @@ def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any, remem
                 # resistance: a step that started from a reversed velocity would end far off.
                 if wp.dot(v, before) < 0.0 and wp.length(before) > _STILL * eps:
                     v = before
-                fastest = wp.max(fastest, wp.length(v))
+                fastest = wp.max(fastest, wp.length(start))
                 c = resistance(place, law, g, v, soft, strong, dense)
                 tangent, kicked = c, wp.vec3()
                 p = velocity_at(past, arm)

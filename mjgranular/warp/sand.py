@@ -69,7 +69,7 @@ class WarpSand:
         moment: moment on each body about its center of mass [N m].
         depth: depth of each body's deepest element below the surface [m], negative above, shape
             (nworld, bodies).
-        speed: greatest speed of each body's elements in the sand [m/s].
+        speed: greatest speed of each body's elements in the sand as the step begins [m/s].
         power: power of the sand on each body [W], not positive except for rounding.
 
     Raises:

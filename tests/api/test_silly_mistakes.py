@@ -85,6 +85,10 @@ def on_sand(*arguments: Any, **options: Any) -> Any:
     return envs.on_sand(*arguments, **options)
 
 
+def gymnasium_hopper() -> Any:
+    return pytest.importorskip("gymnasium.envs.mujoco.hopper_v5").HopperEnv
+
+
 def task(name: str, **options: Any) -> Any:
     gym = pytest.importorskip("gymnasium")
     import mjgranular.envs  # noqa: F401
@@ -438,6 +442,12 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     "class that is none": (
         lambda: on_sand(dict),
         "dict is not one of Gymnasium's MuJoCo environments: on_sand takes classes that",
+    ),
+    "environment with its own simulation": (
+        lambda: on_sand(
+            type("Heavy", (gymnasium_hopper(),), {"_initialize_simulation": lambda self: None})
+        ),
+        "Heavy has its own _initialize_simulation, which on_sand replaces: change the model in",
     ),
     "medium of an environment": (
         lambda: on_sand("Hopper-v5", medium="moon"),

@@ -1,6 +1,7 @@
 """Batches: exactly what Gymnasium makes of single environments, and Stable-Baselines3 too."""
 
 import pickle
+from dataclasses import dataclass, replace
 
 import gymnasium as gym
 import numpy as np
@@ -10,7 +11,8 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.env_util import make_vec_env as make_dummy
 
 from mjgranular import InputError
-from mjgranular.envs import SandVectorEnv, tasks
+from mjgranular.envs import SandVectorEnv, on_sand, tasks
+from mjgranular.envs.gym_robots import Hopper
 from mjgranular.envs.ids import id_of
 from mjgranular.envs.sb3 import SandVecEnv, make_vec_env
 from mjgranular.envs.single import SandEnv
@@ -78,6 +80,49 @@ def test_episodes_may_begin_in_the_step_that_ends_the_last(name):
     for _ in range(25):
         actions = sync.action_space.sample()
         assert_same(sync.step(actions), batch.step(actions))
+
+
+def test_what_diverges_ends_its_episode_with_no_reward():
+    """MuJoCo resets it within the step: sand, controls and data of the episode are gone."""
+    sync, batch = pair("Hopper", randomise={"strength": (0.3, 0.5)})
+    sandy = on_sand("Hopper-v5", randomise={"strength": (0.3, 0.5)})
+    action = np.zeros((NUM, 3), np.float32)
+    for env in (sync, batch, sandy):
+        env.reset(seed=0)
+    for data in (sync.envs[1].unwrapped.data, sandy.unwrapped.data):
+        data.qvel[0] = np.inf
+    batch.unwrapped.state.qvel[1, 0] = np.inf
+    for lost in ([False, True, False], [False, False, False]):
+        steps = [env.step(action) for env in (sync, batch)]
+        assert_same(*steps)
+        assert steps[0][2].tolist() == lost == steps[0][4]["sand/lost"].tolist()
+    assert steps[0][1][1] == 0.0
+    _, reward, terminated, _, info = sandy.step(action[0])
+    assert (reward, terminated, info["sand/lost"]) == (0.0, True, True)
+
+
+def test_what_a_task_varies_is_of_one_episode():
+    """A factor on the model, in every other episode."""
+
+    @dataclass(frozen=True, kw_only=True)
+    class Laden(Hopper):
+        varied = ("body_mass",)
+
+        def start(self, random, height):
+            begin = super().start(random, height)
+            heavy = {"body_mass": 3 * self.model.body_mass}
+            return replace(begin, numbers=heavy if random.uniform() < 0.5 else {})
+
+    single, batch = SandEnv(Laden()), SandVectorEnv(Laden(), 1)
+    built = single.task.model.body_mass.sum()
+    factors = set()
+    for seed in range(6):
+        single.reset(seed=seed)
+        batch.reset(seed=seed)
+        masses = single.model.body_mass.sum(), batch.batch.expand("body_mass").sum()
+        assert masses[0] == masses[1]
+        factors.add(round(masses[0] / built, 9))
+    assert factors == {1.0, 3.0}
 
 
 def test_some_may_be_reset():

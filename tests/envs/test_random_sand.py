@@ -2,7 +2,7 @@
 
 import importlib.util
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import gymnasium as gym
 import mujoco
@@ -12,6 +12,7 @@ import pytest
 from mjgranular import InputError, Rft3dLaw, UnknownNameError, media, register_medium
 from mjgranular.envs import SandEnv, SandRanges, SandVectorEnv, on_sand, tasks
 from mjgranular.envs.dunes import DUNES, Dunes
+from mjgranular.envs.gym_robots import Hopper
 from mjgranular.envs.ids import id_of
 from mjgranular.medium.file import EXAMPLE
 
@@ -125,6 +126,20 @@ def test_slope_tilts_gravity_and_a_ball_rolls_down_nothing_else():
     assert info["sand/force"][2] == pytest.approx(weight * math.cos(0.2), rel=0.05)
     assert info["sand/force"][0] == pytest.approx(weight * math.sin(0.2), rel=0.2)
     assert info["sand/valid"] is False  # the law is for level ground
+
+
+def test_a_tilted_gravity_of_the_model_stays():
+    @dataclass(frozen=True, kw_only=True)
+    class OnHill(Hopper):
+        def robot(self):
+            spec = super().robot()
+            spec.option.gravity = [-1.0, 0.5, -9.7]
+            return spec
+
+    env = SandEnv(OnHill(randomise=SandRanges(slope=(0.0, 0.2))))
+    for slope, expected in ((0.0, [-1.0, 0.5, -9.7]), (0.2, [-2.9071591, 0.5, -9.3079765])):
+        env.reset(seed=0, options={"slope": slope})
+        np.testing.assert_allclose(env.model.opt.gravity, expected, rtol=1e-7)
 
 
 def test_dunes_are_where_they_say():

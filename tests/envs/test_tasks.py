@@ -243,7 +243,8 @@ def test_a_wave_from_the_tail_swims_backwards_as_fast(frequency):
 def test_gaits_are_as_fast_in_steps_half_as_long(name, frequency):
     coarse = SandEnv(name, reset_noise_scale=0.0)
     fine = SandEnv(name, reset_noise_scale=0.0, frame_skip=2 * coarse.task.frame_skip)
-    fine.model.opt.timestep /= 2
+    for model in (fine.model, fine.task.model):
+        model.opt.timestep /= 2
     fine.task.__dict__.pop("dt", None)  # a task caches the duration of a step
     assert fine.task.dt == coarse.task.dt
     first, second = (speed(env, gait(env.task, frequency=frequency)) for env in (coarse, fine))

@@ -1,6 +1,7 @@
 """Tasks in MuJoCo Warp, on its CPU back end, against the same tasks on the processor."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import mujoco
 import numpy as np
@@ -62,6 +63,9 @@ def test_episodes_are_those_of_the_processor(warp_env):
                 env.reset(seed=step)
             continue
         np.testing.assert_allclose(one[1], other[1], atol=0.2)
+        if step < 16:  # the fall into the sand
+            speeds = [out[4]["sand/froude"] for out in (one, other)]
+            np.testing.assert_allclose(*speeds, rtol=0.01)
         ends += int((one[2] | one[3]).sum())
         forces.append([out[4]["sand/force"] for out in (one, other)])
         assert not one[4]["sand/lost"].any()
@@ -100,6 +104,50 @@ def test_a_world_that_is_lost_begins_anew_and_the_others_go_on(warp_env):
     assert not terminated.any()
 
 
+def test_a_task_may_write_to_what_it_reads(warp_env):
+    @dataclass(frozen=True, kw_only=True)
+    class Led(DiscreteHopper):
+        reads: ClassVar[tuple[str, ...]] = ("xfrc_applied", "mocap_pos")
+
+        def robot(self):
+            spec = super().robot()
+            hand = spec.worldbody.add_body(name="hand", mocap=True, pos=[0, 0, 1.25])
+            weld = mujoco.mjtEq.mjEQ_WELD, mujoco.mjtObj.mjOBJ_BODY
+            spec.add_equality(type=weld[0], objtype=weld[1], name1="torso", name2=hand.name)
+            return spec
+
+        def act(self, action, state):
+            state.xfrc_applied[:, 1, 2], state.mocap_pos[:, 0, 2] = 50.0, 1.3
+            return action
+
+    seen = []
+    for env in both(warp_env, Led()):
+        env.reset(seed=0)
+        for _ in range(5):
+            observation = env.step(np.zeros((3, 3)))[0]
+        seen.append(observation[:, 0])
+    np.testing.assert_allclose(*seen, atol=1e-4)
+    assert seen[0].min() > 1.27  # untouched it falls
+
+
+def test_delayed_actuators_forget_the_last_episode(warp_env):
+    @dataclass(frozen=True, kw_only=True)
+    class Late(DiscreteHopper):
+        def robot(self):
+            spec = super().robot()
+            for actuator in spec.actuators:
+                actuator.delay, actuator.nsample = 0.03, 24
+            return spec
+
+    envs = both(warp_env, Late())
+    for size in (0.3, 0.0):
+        for env in envs:
+            env.reset(seed=0)
+        for _ in range(5):
+            one, other = (env.step(np.full((3, 3), size))[0] for env in envs)
+            np.testing.assert_allclose(one, other, atol=1e-4)
+
+
 def test_worlds_remember_until_their_episode_ends(warp_env):
     """Through the fall into the sand; then one world is begun anew."""
     envs = both(warp_env, DiscreteHopper(memory=True), max_episode_steps=40)
@@ -111,11 +159,11 @@ def test_worlds_remember_until_their_episode_ends(warp_env):
         one, other = (env.step(action) for env in envs)
         np.testing.assert_allclose(one[0][:, :5], other[0][:, :5], atol=0.03)
     batch = envs[0].batch
-    pressed = batch.volumes()["pressed"]
+    pressed = batch._sand.volumes()["pressed"]
     assert (pressed > 1e-6).all()
     batch.reset(np.array([1]))
     batch.forward(np.array([1]))
-    np.testing.assert_array_equal(batch.volumes()["pressed"], pressed * [1, 0, 1])
+    np.testing.assert_array_equal(batch._sand.volumes()["pressed"], pressed * [1, 0, 1])
 
 
 def test_what_has_no_place_is_said(warp_env):
@@ -143,6 +191,19 @@ def test_what_has_no_place_is_said(warp_env):
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of packages that RSL-RL imports
+def test_runners_of_rsl_rl_end_first_episodes_at_different_times():
+    torch = pytest.importorskip("torch")
+    pytest.importorskip("rsl_rl.env")
+    from mjgranular.envs.rsl import RslVecEnv
+
+    env = RslVecEnv(SandVectorEnv("Hopper", 3, max_episode_steps=9, autoreset_mode="SameStep"))
+    env.episode_length_buf = torch.tensor([2, 8, 5])  # as `learn(..., init_at_random_ep_len=True)`
+    over = [env.step(torch.zeros(3, 3))[2].tolist() for _ in range(7)]
+    assert [ends.index(True) for ends in zip(*over, strict=True)] == [6, 0, 3]
+    assert env.episode_length_buf.tolist() == [0, 6, 3]
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of packages that RSL-RL imports
 def test_each_world_has_its_motors_and_a_critic_knows_them(robots, warp_env):
     pytest.importorskip("rsl_rl.env")
     from mjgranular.envs.rsl import RslVecEnv
@@ -160,6 +221,6 @@ def test_each_world_has_its_motors_and_a_critic_knows_them(robots, warp_env):
 
     worlds.batch.bind("qvel")[0, 0] = np.nan
     info = worlds.step(np.zeros((3, 12), np.float32))[-1]
-    assert info["sand/lost"].tolist() == [True, False, False]
+    assert info["final_info"]["sand/lost"].tolist() == [True, False, False]
     ended = info["final_info"]["privileged"][0, 13:]
     np.testing.assert_allclose(ended, privileged[0, 13:], rtol=1e-6)
