@@ -233,6 +233,36 @@ def test_tilted_bodies_meet_the_force_of_simulated_grains(name):
     assert ratio[1] / ratio[0] == pytest.approx(1.0, abs=PUSHED[name])
 
 
+# Law over grains, relative to a push straight down: up and against the motion; docs/laws/rft.md.
+ASLANT = {34: (1.08, 1.16), 18: (1.16, 1.02), 10: (1.56, 0.95)}
+
+
+@pytest.mark.parametrize("course", ASLANT)
+def test_plates_pushed_aslant_meet_the_force_of_simulated_grains(course):
+    runs = read_runs(DATA / "tilted")
+    law, ratios = DynamicRft3dLaw.from_medium(runs.medium), []
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><body name="b"><freejoint/><geom type="box" size=".01 .01 .0025" '
+        'mass="1e5"/></body></worldbody></mujoco>'
+    )
+    sand, data = Sand(model, medium=runs.medium, law=law), mujoco.MjData(model)
+    for file, angle in (
+        (DATA / "tilted/tilt0.csv", 90),
+        (f"{DATA}/oblique/course{course}.csv", course),
+    ):
+        rows = np.genfromtxt(file, delimiter=",", names=True)
+        rows = rows[(rows["depth_m"] > 0.004) & (rows["depth_m"] <= 0.012)]
+        across, down = 0.2 * math.cos(math.radians(angle)), 0.2 * math.sin(math.radians(angle))
+        found = []
+        for depth in rows["depth_m"]:
+            data.qpos[2], data.qvel[:3] = 0.0025 - depth, (across, 0.0, -down)
+            found.append(sand.report(data)["b"].force)
+        x, _, z = np.mean(found, axis=0)
+        ratios.append(z / rows["force_N"].mean())
+    found = ratios[1] / ratios[0], -x / rows["drag_N"].mean() / ratios[0]
+    assert found == pytest.approx(ASLANT[course], abs=0.03)
+
+
 def test_limits_say_how_fast_it_was_confirmed():
     (froude,) = (limit for limit in DynamicRft3dLaw.validity if limit.measure == "froude")
     assert froude.most > 2
