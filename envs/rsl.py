@@ -48,7 +48,7 @@ class RslVecEnv(VecEnv):
         self._observations = self._seen(*self.env.reset(seed=seed))
 
     @property
-    def episode_length_buf(self) -> torch.Tensor:  # pyright: ignore
+    def episode_length_buf(self) -> torch.Tensor:  # pyright: ignore[reportIncompatibleVariableOverride]
         """Steps of the episodes, (num_envs,); runners set it to end the first ones apart."""
         return torch.tensor(self.env.elapsed, device=self.device)
 

@@ -122,7 +122,7 @@ def test_a_task_may_write_to_what_it_reads(warp_env):
 
     seen = []
     for env in both(warp_env, Led()):
-        env.reset(seed=0)
+        observation = env.reset(seed=0)[0]
         for _ in range(5):
             observation = env.step(np.zeros((3, 3)))[0]
         seen.append(observation[:, 0])
