@@ -216,10 +216,8 @@ def led_by_differences(stress: Any) -> Any:
         load, s, t = load_of(facet.middle, facet.rise_1, facet.rise_2, facet.mean, c, a, b, sided)
         m = facet.normal + s * facet.spread_1 + t * facet.spread_2
         m = m / norm(m)
-        rise = dot(u, facet.up)
-        force = (load * facet.area * (1.0 + facet.cone * rise * rise)) * stress(
-            law, g, m, u, facet.up
-        )
+        more = 1.0 + facet.cone * dot(u, facet.up) * dot(u, facet.up)
+        force = (load * facet.area * more) * stress(law, g, m, u, facet.up)
         if load <= 0.0 or dot(m, u) <= edge_of(eps):
             force = vector(0.0, 0.0, 0.0)
         # The fit describes leading faces; on the ramp it is also evaluated for slightly trailing

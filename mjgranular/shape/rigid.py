@@ -267,8 +267,7 @@ class _Sight:
                     nearest = nearest if count else gap
                     met[count] = min(1.0, gap / nearest) if nearest > 0 else 1.0
                     count += 1
-                x += step + self._leaves(geom, here + (x + step) * way, way)
-                x = min(x, 1.0)
+                x = min(x + step + self._leaves(geom, here + (x + step) * way, way), 1.0)
                 end = passed + x * length
                 x += step
             passed += length
@@ -335,14 +334,13 @@ def _axes_across(n: np.ndarray, along: np.ndarray) -> np.ndarray:
     return np.stack([along, np.cross(n, along)])
 
 
-def _connected(low: np.ndarray, high: np.ndarray, gap: float) -> list[np.ndarray]:
+def _connected(low: np.ndarray, high: np.ndarray, gap: np.ndarray | float) -> list[np.ndarray]:
     """Return the rows of boxes that touch, directly or through others, one array for each part."""
     apart = np.maximum(low[:, None] - high[None], low[None] - high[:, None]).max(axis=2)
     joined = apart <= gap
     parts, left = [], np.ones(len(low), bool)
     while left.any():
-        part = np.zeros(len(low), bool)
-        found = np.zeros(len(low), bool)
+        part, found = np.zeros((2, len(low)), bool)
         found[left.argmax()] = True
         while found.any():
             part |= found
@@ -392,14 +390,16 @@ def _joined(
 ) -> Iterator[tuple[np.ndarray, np.ndarray, float, float]]:
     """Yield the facets of meshes that touch, their longest axis, second and largest extents [m]."""
     mine = mine[model.geom_type[facets["geom"][mine]] == _MESH]
-    geoms, own = np.unique(facets["geom"][mine], return_inverse=True)
+    geoms, first, own = np.unique(facets["geom"][mine], return_index=True, return_inverse=True)
     if len(geoms) < 2:
         return
-    reach, shape = np.abs(edges[mine]).sum(axis=1), (len(geoms), 3)
-    low, high = np.full(shape, np.inf), np.full(shape, -np.inf)
-    np.minimum.at(low, own, points[mine] - reach)
-    np.maximum.at(high, own, points[mine] + reach)
-    for part in _connected(low, high, _GAP * facets["width"][mine].max()):
+    # Along the axes of all meshes: the axes of the body's frame must not decide.
+    across = np.hstack(data.geom_xmat[geoms].reshape(-1, 3, 3))
+    at, reach = points[mine] @ across, np.abs(edges[mine] @ across).sum(axis=1)
+    low = np.array([(at - reach)[own == k].min(axis=0) for k in range(len(geoms))])
+    high = np.array([(at + reach)[own == k].max(axis=0) for k in range(len(geoms))])
+    width = facets["width"][mine[first]]
+    for part in _connected(low, high, _GAP * np.minimum(width, width[:, None])):
         if len(part) < 2:
             continue
         rows = mine[np.isin(own, part)]

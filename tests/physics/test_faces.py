@@ -335,6 +335,25 @@ def test_a_mesh_in_wedges_is_as_wide_as_in_one(count):
     assert list(pieces) == pytest.approx(list(means(0, 48)), rel=0.01)
 
 
+def test_meshes_apart_are_not_one_body():
+    turns = 2 * math.pi * np.arange(24) / 24
+    rim = 0.01 * np.c_[np.cos(turns), np.sin(turns)]
+    points = [(x, y, z) for x, y in rim for z in (-0.1, 0.1)]
+    asset = f'<asset><mesh name="rod" vertex="{" ".join(map(str, np.ravel(points)))}"/>'
+    asset += f'<mesh name="far" vertex="{" ".join(map(str, 10 * np.ravel(points)))}"/></asset>'
+    geom = '<geom type="mesh" mesh="{}" pos="{} 0 {}" euler="0 {} 0"/>'
+
+    def faces(*geoms):
+        model = model_of("".join(geom.format(*numbers) for numbers in geoms), asset)
+        facets = facets_from_model(model, range(model.ngeom))
+        return [facets[name][facets["geom"] == 0].mean() for name in ("face", "layer", "flat")]
+
+    alone = faces(("rod", 0, 0, 45))
+    assert faces(("rod", 0, 0, 45), ("rod", 0.05, -0.05, 45)) == pytest.approx(alone, rel=0.05)
+    apart = faces(("rod", 0, 0, 0), ("rod", 0.04, 0, 0), ("far", 5, 0, 0))
+    assert apart == pytest.approx(alone, rel=0.05)
+
+
 def test_sides_of_two_bodies_do_not_shelter_each_other():
     model = mujoco.MjModel.from_xml_string("""
     <mujoco><worldbody>

@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from mjgranular import Plane, Rft2dLaw, Rft3dLaw, media
+from mjgranular import DynamicRft3dLaw, Plane, Rft2dLaw, Rft3dLaw, media
 from mjgranular.law import rft3d
 from mjgranular.law.facet import facet_kernel
 from mjgranular.law.rft import stress_of
@@ -32,6 +32,7 @@ LAWS = {
     "rft3d_lateral_low": Rft3dLaw(1500.0, 0.6, 0.2, lateral=0.8),
     "rft3d_lateral": Rft3dLaw(1500.0, 0.6, 0.2, lateral=1.4),
     "rft3d_lateral_high": Rft3dLaw(1500.0, 0.6, 0.2, lateral=2.4),
+    "rft3d_dynamic": DynamicRft3dLaw(1500.0, 0.6, 0.2),
 }
 SQUARE = ((-1, -1), (1, -1), (1, 1), (-1, 1))
 
@@ -83,6 +84,13 @@ def stress_3d(law, n, u, z):
     return law["stiffness"] * G * (less * share * t - more * abs(along) * n)
 
 
+def stress_measured(law, n, u, z):
+    """With K and J of (S4) and (S5)."""
+    square, across, graze = (n @ z) ** 2, 1 - (u @ z) ** 2, 1 - (n @ u) ** 2
+    k = 1 - REAL(0.3) * 4 * square * (1 - square) * (1 - across**2)
+    return k * (1 + square * graze**8 * (1 - across**8)) * stress_3d(law, n, u, z)
+
+
 def sideways(lateral, n, u, z):
     """G and T of (S2) and (S3)."""
     if lateral == 0:
@@ -123,6 +131,9 @@ def stress_2d(law, n, u, z):
     return law["scale"] * (share * (up * z - back * e) - slip * aside)
 
 
+STRESS = {"rft2d": stress_2d, "rft3d_dynamic": stress_measured}
+
+
 @dataclass
 class Facet:
     """A facet in the sand; see `law.facet.FacetSample` for its numbers."""
@@ -133,12 +144,13 @@ class Facet:
     depth: float
     rises: tuple[float, float]
     push: float
+    cone: float = 0.3
 
     def immersed(self):
         mean = positive_part(REAL(self.depth), *map(REAL, self.rises))[3]
         return np.array([
             1.0, 0.0, 0.0, 0.0, 0.0, *self.normal, *self.up, *self.spread[0], *self.spread[1],
-            self.depth, *self.rises, float(mean), AREA, self.push, 0.0,
+            self.depth, *self.rises, float(mean), AREA, self.cone, self.push, 0.0, 0.0,
         ])  # fmt: skip
 
     def rates(self, u):
@@ -162,6 +174,7 @@ class Facet:
         if load <= 0:
             return np.zeros(3, REAL)
         found = stress(law, unit(n + s * spread[0] + t * spread[1]), u, z)
+        found *= 1 + self.cone * (u @ z) ** 2
         return AREA * load * (found - max(found @ u, REAL(0)) * u)
 
     def soft(self, stress, law, v, eps):
@@ -226,7 +239,7 @@ def test_against_polygons_and_differences(kernels, name):
         kernels.Kernels(law.kernel(Plane())),
         law.parameters(media["quikrete_medium"])[0],
     )
-    stress = stress_2d if name == "rft2d" else stress_3d
+    stress = STRESS.get(name, stress_3d)
     rng = np.random.default_rng(3)
     leading, wet = Counter(), Counter()
     count = 250
