@@ -131,7 +131,7 @@ def facets_from_model(
         exposed = exposures(model, own, facets)
         facets, exposed = facets[exposed > 0], exposed[exposed > 0]
     if meshes == "patches":
-        join_faces(model, own, facets)
+        join_faces(model, own, facets, exposed)
     else:
         facets["face"] = facets["layer"] = facets["width"]
     widest = np.zeros(model.ngeom)

@@ -25,6 +25,7 @@ _PARALLEL, _COPLANAR, _GAP, _OPEN = math.cos(math.radians(3)), 0.05, 0.1, 0.5
 # Hydrodynamics), with a strip than a square plate (1 to 0.579: DNV RP-C205).
 _LONG_ROUND, _LONG_FLAT = 1.36, 0.73
 
+_HOLLOW = 0.05  # of a nearly convex body that is ahead of the faces of a part, at most; chosen
 _MOST = 4000  # facets of a plane compared in pairs, at most; else they are one face; chosen
 
 # Rays from a facet are distributed around its normal with the weight cos(angle)^_FOCUS. Fitted to
@@ -82,17 +83,20 @@ def _placed(data: mujoco.MjData, facets: np.ndarray) -> tuple[np.ndarray, np.nda
     return points, normals, np.einsum("nij,nkj->nki", turn, facets["edges"])
 
 
-def join_faces(model: mujoco.MjModel, data: mujoco.MjData, facets: np.ndarray) -> None:
+def join_faces(
+    model: mujoco.MjModel, data: mujoco.MjData, facets: np.ndarray, exposed: np.ndarray
+) -> None:
     """Set the widths of the face that each facet belongs to, and close narrow gaps in flat faces.
 
     A flat face is the union of the coplanar, adjacent facets of a rigid body. Its width is its area
     over its length, and its length that of a rod with the same greatest radius of gyration: the
-    shorter side of a rectangle. A curved surface is as wide as its geom; of meshes that touch, as
-    all of them together. Sand in a narrow gap moves with the body and is part of the face, so the
-    facets on both sides get half of the gap each, and less of wider ones.
+    shorter side of a rectangle. A curved surface is as wide as its geom; of meshes that touch and
+    are nearly convex together, as all of them. Sand in a narrow gap moves with the body and is part
+    of the face, so the facets on both sides get half of the gap each, and less of wider ones.
 
     The layer that moves along is that of a wider face if the face is long: `layer`, eq. (A0).
-    `data` is of `in_own_frames`; `width` of facets is their geom's. Sets `face`, `layer`, `area`.
+    `data` is of `in_own_frames`; `width` of facets is their geom's; `exposed` are their shares
+    (`exposures`). Sets `face`, `layer`, `area`.
     """
     points, normals, edges = _placed(data, facets)
     facets["face"] = facets["width"]
@@ -102,9 +106,10 @@ def join_faces(model: mujoco.MjModel, data: mujoco.MjData, facets: np.ndarray) -
         mine = np.flatnonzero(welds == weld)
         # From the largest facet on, then by position: independent of the order of geoms.
         mine = mine[np.lexsort([*points[mine].T.round(9), -areas[mine].round(12)])]
-        joined = list(_joined(model, data, facets, mine, points, edges))
+        joined = list(_joined(model, data, facets, mine, exposed))
         for rows, _, width, _ in joined:
-            facets["flat"][rows] = flatness(points[rows], normals[rows], areas[rows], width)
+            seen = areas[rows] * exposed[rows]
+            facets["flat"][rows] = flatness(points[rows], normals[rows], seen, width)
         is_flat = facets["flat"][mine] >= 0.5
         left = mine[is_flat]
         while len(left):
@@ -385,16 +390,19 @@ def _joined(
     data: mujoco.MjData,
     facets: np.ndarray,
     mine: np.ndarray,
-    points: np.ndarray,
-    edges: np.ndarray,
+    exposed: np.ndarray,
 ) -> Iterator[tuple[np.ndarray, np.ndarray, float, float]]:
-    """Yield the facets of meshes that touch, their longest axis, second and largest extents [m]."""
+    """Yield the facets of meshes that touch and are nearly convex together, with their extents.
+
+    That is the longest axis, and the second and the largest extent [m].
+    """
     mine = mine[model.geom_type[facets["geom"][mine]] == _MESH]
     geoms, first, own = np.unique(facets["geom"][mine], return_index=True, return_inverse=True)
     if len(geoms) < 2:
         return
     # Along the axes of all meshes: the axes of the body's frame must not decide.
     across = np.hstack(data.geom_xmat[geoms].reshape(-1, 3, 3))
+    points, normals, edges = _placed(data, facets)
     at, reach = points[mine] @ across, np.abs(edges[mine] @ across).sum(axis=1)
     low = np.array([(at - reach)[own == k].min(axis=0) for k in range(len(geoms))])
     high = np.array([(at + reach)[own == k].max(axis=0) for k in range(len(geoms))])
@@ -403,7 +411,7 @@ def _joined(
         if len(part) < 2:
             continue
         rows = mine[np.isin(own, part)]
-        areas = facets["area"][rows]
+        areas = facets["area"][rows] * exposed[rows]
         away = points[rows] - areas @ points[rows] / areas.sum()
         axes = np.linalg.eigh(np.einsum("n,ni,nj->ij", areas, away, away))[1]
         corners = [
@@ -411,7 +419,14 @@ def _joined(
             for g in geoms[part]
         ]
         extents = np.ptp(np.concatenate(corners) @ axes, axis=0)
-        yield rows, axes[:, extents.argmax()], *np.sort(extents)[1:]
+        width, long = np.sort(extents)[1:]
+        some = slice(None, None, -(-len(rows) // _MOST))
+        ahead = normals[rows][some] @ away[some].T
+        is_ahead = ahead - ahead.diagonal()[:, None] > _COPLANAR * width
+        geom, weight = facets["geom"][rows][some], areas[some]
+        found = np.bincount(geom, weight * (is_ahead @ weight))
+        if (found <= _HOLLOW * weight.sum() * np.bincount(geom, weight)).all():
+            yield rows, axes[:, extents.argmax()], width, long
 
 
 def _longer(normals: np.ndarray, axis: np.ndarray, width: float, long: float) -> np.ndarray:

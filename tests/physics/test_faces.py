@@ -352,6 +352,8 @@ def test_meshes_apart_are_not_one_body():
     assert faces(("rod", 0, 0, 45), ("rod", 0.05, -0.05, 45)) == pytest.approx(alone, rel=0.05)
     apart = faces(("rod", 0, 0, 0), ("rod", 0.04, 0, 0), ("far", 5, 0, 0))
     assert apart == pytest.approx(alone, rel=0.05)
+    on_a_foot = faces(("rod", 0, 0, 0), ("far", 0, -1.1, 0))  # which is ten times as large
+    assert on_a_foot[:2] == pytest.approx(alone[:2], rel=0.05)
 
 
 def test_sides_of_two_bodies_do_not_shelter_each_other():
