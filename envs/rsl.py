@@ -48,12 +48,12 @@ class RslVecEnv(VecEnv):
         self._observations = self._seen(*self.env.reset(seed=seed))
 
     @property
-    def episode_length_buf(self) -> torch.Tensor:  # pyright: ignore[reportIncompatibleVariableOverride]
+    def episode_length_buf(self) -> torch.Tensor:
         """Steps of the episodes, (num_envs,); runners set it to end the first ones apart."""
         return torch.tensor(self.env.elapsed, device=self.device)
 
     @episode_length_buf.setter
-    def episode_length_buf(self, steps: torch.Tensor) -> None:
+    def episode_length_buf(self, steps: torch.Tensor) -> None:  # pyright: ignore
         self.env.elapsed[:] = steps.cpu()
 
     def get_observations(self) -> TensorDict:
