@@ -78,7 +78,7 @@ def find_spec(env_id: Any) -> EnvSpec:
     (`mjgranular._util.user_modules`). Errors list ids of mjgranular and similar ones.
     """
     if not isinstance(env_id, str):
-        raise InputError(f"an environment is named by a text such as 'Ant-v5', not {env_id!r}")
+        raise InputError(f"an environment is named by a string such as 'Ant-v5', not {env_id!r}")
     module, colon, name = env_id.rpartition(":")
     hint = "one of your own is named with its module, my_module:My-v0"
     if colon:

@@ -26,8 +26,8 @@ _HEAD = """# Accuracy of the laws
 The default law, `{law}`, against all measurements in the repository. *Bias* is the mean of the
 relative errors, positive if the law gives too much; *spread* is their standard deviation. *Blind*
 data played no part in the law: drops and tilted bodies were simulated when its form was fixed
-but for (S5) and the cone of faces that move aslant, which came later and were chosen without them;
-at the others nobody had looked. Runs that a constant was fitted to are not counted.
+but for (S5) and the cone of faces that move obliquely, which came later and were chosen without
+them; at the others nobody had looked. Runs that a constant was fitted to are not counted.
 
 {quantities}
 

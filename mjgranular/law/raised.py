@@ -8,8 +8,8 @@ moves with the face. The cone meets the resistance, and it is deeper than the fa
 pi/4 + phi/2 with the friction angle phi, so its mean depth below a face of width w is w tan(pi/4 +
 phi/2)/6. Kang, Feng, Liu and Blumenfeld (Nature Communications 9, 1101, 2018) measured that: force
 against depth is a line with a positive intercept, after a rise over which the cone forms. A face
-that moves aslant leaves the cone behind: it counts by the square of the motion's vertical part
-(chosen: plates pushed aslant into simulated grains, referee/data/oblique, and a walking robot).
+that moves obliquely leaves the cone behind: it counts by the square of the motion's vertical part
+(chosen: plates pushed obliquely into simulated grains, referee/data/oblique, and a walking robot).
 
 **Fast shear.** Friction between grains grows with the inertial number I of the flow around the
 facet: mu(I) = mu + rate I / (I + I_0) (Jop, Forterre and Pouliquen, Nature 441, 727, 2006), with I

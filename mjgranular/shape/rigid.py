@@ -402,17 +402,18 @@ def _joined(
         return
     # Along the axes of all meshes: the axes of the body's frame must not decide.
     across = np.hstack(data.geom_xmat[geoms].reshape(-1, 3, 3))
-    points, normals, edges = _placed(data, facets)
-    at, reach = points[mine] @ across, np.abs(edges[mine] @ across).sum(axis=1)
+    points, normals, edges = _placed(data, facets[mine])
+    at, reach = points @ across, np.abs(edges @ across).sum(axis=1)
     low = np.array([(at - reach)[own == k].min(axis=0) for k in range(len(geoms))])
     high = np.array([(at + reach)[own == k].max(axis=0) for k in range(len(geoms))])
-    width = facets["width"][mine[first]]
-    for part in _connected(low, high, _GAP * np.minimum(width, width[:, None])):
+    widths = facets["width"][mine[first]]
+    for part in _connected(low, high, _GAP * np.minimum(widths, widths[:, None])):
         if len(part) < 2:
             continue
-        rows = mine[np.isin(own, part)]
+        inside = np.isin(own, part)
+        rows = mine[inside]
         areas = facets["area"][rows] * exposed[rows]
-        away = points[rows] - areas @ points[rows] / areas.sum()
+        away = points[inside] - areas @ points[inside] / areas.sum()
         axes = np.linalg.eigh(np.einsum("n,ni,nj->ij", areas, away, away))[1]
         corners = [
             data.geom_xpos[g] + mesh_arrays(model, g)[0] @ data.geom_xmat[g].reshape(3, 3).T
@@ -421,7 +422,7 @@ def _joined(
         extents = np.ptp(np.concatenate(corners) @ axes, axis=0)
         width, long = np.sort(extents)[1:]
         some = slice(None, None, -(-len(rows) // _MOST))
-        ahead = normals[rows][some] @ away[some].T
+        ahead = normals[inside][some] @ away[some].T
         is_ahead = ahead - ahead.diagonal()[:, None] > _COPLANAR * width
         geom, weight = facets["geom"][rows][some], areas[some]
         found = np.bincount(geom, weight * (is_ahead @ weight))

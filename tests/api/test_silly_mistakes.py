@@ -433,11 +433,11 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "number for environment": (
         lambda: on_sand(5),
-        "an environment is named by a text such as 'Ant-v5'",
+        "an environment is named by a string such as 'Ant-v5'",
     ),
     "nothing for environment": (
         lambda: on_sand(None),
-        "an environment is named by a text such as 'Ant-v5'",
+        "an environment is named by a string such as 'Ant-v5'",
     ),
     "class that is none": (
         lambda: on_sand(dict),

@@ -234,11 +234,11 @@ def test_tilted_bodies_meet_the_force_of_simulated_grains(name):
 
 
 # Law over grains, relative to a push straight down: up and against the motion; docs/laws/rft.md.
-ASLANT = {34: (1.08, 1.16), 18: (1.16, 1.02), 10: (1.56, 0.95)}
+OBLIQUE = {34: (1.08, 1.16), 18: (1.16, 1.02), 10: (1.56, 0.95)}
 
 
-@pytest.mark.parametrize("course", ASLANT)
-def test_plates_pushed_aslant_meet_the_force_of_simulated_grains(course):
+@pytest.mark.parametrize("course", OBLIQUE)
+def test_plates_pushed_obliquely_meet_the_force_of_simulated_grains(course):
     runs = read_runs(DATA / "tilted")
     law, ratios = DynamicRft3dLaw.from_medium(runs.medium), []
     model = mujoco.MjModel.from_xml_string(
@@ -260,7 +260,7 @@ def test_plates_pushed_aslant_meet_the_force_of_simulated_grains(course):
         x, _, z = np.mean(found, axis=0)
         ratios.append(z / rows["force_N"].mean())
     found = ratios[1] / ratios[0], -x / rows["drag_N"].mean() / ratios[0]
-    assert found == pytest.approx(ASLANT[course], abs=0.03)
+    assert found == pytest.approx(OBLIQUE[course], abs=0.03)
 
 
 def test_limits_say_how_fast_it_was_confirmed():
