@@ -182,6 +182,20 @@ def robots() -> Iterator[Path]:
         yield root
 
 
+@pytest.fixture(scope="session")
+def mjlab() -> Path:
+    """A folder with the package mjlab, unpacked from its wheel, downloaded once, and kept."""
+    root = Path.home() / ".cache" / "mjgranular-tests"
+    if not (root / "mjlab-1.6.0").is_dir():
+        root.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=root) as folder:
+            _extract("mjlab==1.6.0", "mjlab/", Path(folder))
+            if not (root / "mjlab-1.6.0").is_dir():  # another worker may have been first
+                Path(folder).rename(root / "mjlab-1.6.0")
+                Path(folder).mkdir()  # which is removed now
+    return root / "mjlab-1.6.0"
+
+
 def _download_go1(folder: Path) -> Path:
     """Return a new folder with the Go1 that the wheel of mjlab has."""
     inside = "mjlab/asset_zoo/robots/unitree_go1/xmls"

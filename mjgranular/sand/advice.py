@@ -51,22 +51,44 @@ def warn(checks: Iterable[tuple[Callable[..., Iterator[str]], Any]], *arguments:
 
 def touch_sensors(case: Case) -> Iterator[str]:
     """Check that no touch sensor is on a body in the sand, which it does not measure."""
-    model, bodies = case.model, case.model.geom_bodyid[list(case.geoms)]
+    model = case.model
     site = model.sensor_objtype == mujoco.mjtObj.mjOBJ_SITE
     ours = model.sensor_objid[site & (model.sensor_type == mujoco.mjtSensor.mjSENS_PLUGIN)]
+    deaf = (model.sensor_type == mujoco.mjtSensor.mjSENS_TOUCH) & ~np.isin(model.sensor_objid, ours)
+    yield from _deaf(case, "touch", deaf)
+
+
+def contact_sensors(case: Case) -> Iterator[str]:
+    """Check that no sensor of contacts with the world, or anything, is on a body in the sand."""
+    model = case.model
+    deaf = model.sensor_type == mujoco.mjtSensor.mjSENS_CONTACT
+    for sensor in deaf.nonzero()[0]:
+        other = _body_of(model, model.sensor_reftype[sensor], model.sensor_refid[sensor])
+        deaf[sensor] = other < 0 or model.body_weldid[other] == 0
+    yield from _deaf(case, "contact", deaf)
+
+
+def _deaf(case: Case, kind: str, deaf: np.ndarray) -> Iterator[str]:
+    model, bodies = case.model, case.model.geom_bodyid[list(case.geoms)]
     names = [
         name_of(model, "sensor", sensor) or f"number {sensor}"
-        for sensor in (model.sensor_type == mujoco.mjtSensor.mjSENS_TOUCH).nonzero()[0]
-        if model.site_bodyid[model.sensor_objid[sensor]] in bodies
-        and model.sensor_objid[sensor] not in ours
+        for sensor in deaf.nonzero()[0]
+        if _body_of(model, model.sensor_objtype[sensor], model.sensor_objid[sensor]) in bodies
     ]
     if names:
         one = len(names) == 1
         yield (
-            f"touch {'sensor' if one else 'sensors'} {listed(names)} {'reads' if one else 'read'} "
+            f"{kind} {'sensor' if one else 'sensors'} {listed(names)} {'reads' if one else 'read'} "
             "contacts alone, and nothing of the sand: the sensor mjgranular.sensor with the "
             "measure touch does, inside mj_step, and Sand.report"
         )
+
+
+def _body_of(model: mujoco.MjModel, kind: int, number: int) -> int:
+    """Return the body of what a sensor is on, -1 for none; `kind` is of `mujoco.mjtObj`."""
+    kinds = mujoco.mjtObj
+    bodies = {kinds.mjOBJ_SITE: model.site_bodyid, kinds.mjOBJ_GEOM: model.geom_bodyid}
+    return int(bodies[kinds(kind)][number]) if kinds(kind) in bodies else int(number)
 
 
 def ignored_parts(case: Case) -> Iterator[str]:
@@ -394,6 +416,7 @@ def buried_geoms(case: Case) -> Iterator[str]:
 
 CHECKS = (
     (touch_sensors, errors.UnfeltWarning),
+    (contact_sensors, errors.UnfeltWarning),
     (ignored_parts, errors.UnfeltWarning),
     (floors, errors.FloorWarning),
     (density, errors.RangeWarning),

@@ -158,3 +158,25 @@ def test_touch_sensors_of_bodies_in_the_sand_are_told_to_be_numb(own):
         str(one.message) for one in said if "touch sensor sole reads contacts" in str(one.message)
     ]
     assert len(numb) == (0 if own else 1)  # once, though MuJoCo's compiler makes data of its own
+
+
+@DOORS
+def test_contact_sensors_of_bodies_in_the_sand_are_named(door):
+    """Those of contacts with the world or with anything, not with another moving body."""
+    sensors = "".join(
+        f'<contact name="{name}" {ends}/>'
+        for name, ends in (
+            ("floor", 'geom1="ball" geom2="ground"'),
+            ("anything", 'body1="ball"'),
+            ("other", 'geom1="ball" geom2="second"'),
+            ("away", 'geom1="second" geom2="ground"'),
+        )
+    )
+    xml = f"""
+    <mujoco><worldbody>
+      <geom name="ground" type="plane" size="1 1 1" pos="0 0 -1"/>
+      <body name="ball"><freejoint/><geom name="ball" size=".1"/></body>
+      <body name="second" pos="1 0 0"><freejoint/><geom name="second" size=".1"/></body>
+    </worldbody><sensor>{sensors}</sensor></mujoco>"""
+    with pytest.warns(UnfeltWarning, match="^contact sensors floor, anything read contacts alone"):
+        door(xml, bodies=["ball"])

@@ -1,0 +1,181 @@
+"""Tasks of mjlab on sand, by MuJoCo Warp."""
+
+# Kernels are written in Warp's language, which Python type checkers do not understand.
+# pyright: reportInvalidTypeForm=false, reportArgumentType=false, reportCallIssue=false
+# pyright: reportOperatorIssue=false, reportAttributeAccessIssue=false, reportMissingImports=false
+
+import warnings
+from dataclasses import dataclass, field
+from typing import Any
+
+import mujoco
+import torch
+import warp as wp
+from mjlab.envs import ManagerBasedRlEnv, ManagerBasedRlEnvCfg
+from mjlab.managers.event_manager import EventTermCfg
+from mjlab.sim import MujocoCfg
+
+from mjgranular.envs.ranges import SandRanges
+from mjgranular.errors import InputError, UnfeltWarning
+from mjgranular.warp import WarpSand
+
+TERRAIN = "terrain"  # mjlab's name of the ground's body, and of its geom if that is a plane
+
+# What a contact sensor may contain, in the order of `mujoco.mjtConDataField`, and its numbers.
+_FOUND, _FORCE, _DIST, _NORMAL, _TANGENT = 0, 1, 3, 5, 6
+_SIZES = (1, 3, 3, 1, 3, 3, 3, 3, 3)
+_NETFORCE = 3  # in `sensor_intprm`: the sum of all contacts, in the world frame
+
+
+@dataclass
+class SandMujocoCfg(MujocoCfg):
+    """mjlab's options of MuJoCo, with sand: `sand` has arguments of `WarpSand`."""
+
+    sand: dict[str, Any] = field(default_factory=dict)
+
+    def apply(self, model: mujoco.MjModel) -> None:
+        """Set the options of a compiled model, and make its sand."""
+        super().apply(model)
+        model.opt.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "contact sensor", UnfeltWarning)  # `_read_sand`
+            self.made = WarpSand(model, **self.sand)
+
+
+def on_sand(
+    cfg: ManagerBasedRlEnvCfg,
+    *,
+    strength: tuple[float, float] = (1.0, 1.0),
+    density: tuple[float, float] = (1.0, 1.0),
+    **sand: Any,
+) -> ManagerBasedRlEnvCfg:
+    """Put the robots of a task of mjlab on sand, in place of its flat ground.
+
+    Contact sensors between the robot and the ground, or anything, read the sand: `found`, `force`,
+    `dist`, `normal` and `tangent`, of the whole body of a geom. Friction of geoms has no effect.
+
+    Args:
+        cfg: configuration of the task; it is changed.
+        strength: factor on static resistance, (low, high), drawn for each episode.
+        density: factor on rate-dependent resistance, (low, high), drawn for each episode.
+        **sand: arguments of `WarpSand`, such as `medium`, `geoms` and `resolution`.
+
+    Returns:
+        The same configuration.
+
+    Raises:
+        InputError: the task's ground is not flat, or a range is not possible.
+    """
+    ground = cfg.scene.terrain
+    if ground is None or ground.terrain_type != "plane":
+        kind = None if ground is None else ground.terrain_type
+        raise InputError(f"on_sand takes a task of mjlab with terrain_type='plane', not {kind!r}")
+    ranges = SandRanges(strength=strength, density=density)
+    options = {name: getattr(cfg.sim.mujoco, name) for name in MujocoCfg.__dataclass_fields__}
+    cfg.sim.mujoco = SandMujocoCfg(**options, sand={"instead_of": [TERRAIN], **sand})
+    cfg.events["sand"] = EventTermCfg(func=_attach, mode="startup")
+    drawn = {"strength": ranges.strength, "density": ranges.density}
+    cfg.events["sand_of_episode"] = EventTermCfg(func=draw_sand, mode="reset", params=drawn)
+    return cfg
+
+
+def sand_of(env: ManagerBasedRlEnv) -> WarpSand:
+    """Return the sand of an environment: forces, depths and factors of all worlds."""
+    return env.cfg.sim.mujoco.made
+
+
+def draw_sand(env: ManagerBasedRlEnv, env_ids: torch.Tensor | None, **ranges: Any) -> None:
+    """Draw factors on the sand of some worlds, each uniformly from (low, high)."""
+    chosen = slice(None) if env_ids is None else env_ids
+    for name, (low, high) in ranges.items():
+        factor = wp.to_torch(getattr(sand_of(env), name))
+        factor[chosen] = torch.empty_like(factor[chosen]).uniform_(low, high)
+
+
+def _attach(env: ManagerBasedRlEnv, env_ids: torch.Tensor | None) -> None:
+    """Attach the sand, and have contact sensors read it."""
+    sand, model, data = sand_of(env), env.sim.wp_model, env.sim.wp_data
+    sand.attach(model, data)
+    rows, slots = _contact_sensors(env.sim.mj_model, sand)
+    device = sand.force.device
+    there = wp.array(rows, dtype=int, device=device), wp.array(slots, dtype=int, device=device)
+    before = model.callback.sensor
+
+    def read_sand(m: Any, d: Any, stage: Any) -> None:
+        before(m, d, stage)
+        if rows and int(stage) == int(mujoco.mjtStage.mjSTAGE_ACC):
+            read = (*there, sand.force, sand.depth, d.sensordata)
+            wp.launch(_read_sand, dim=(d.nworld, len(rows)), inputs=read, device=device)
+
+    model.callback.sensor = read_sand
+    env.sim.create_graph()
+
+
+def _contact_sensors(
+    model: mujoco.MjModel, sand: WarpSand
+) -> tuple[list[tuple[int, ...]], list[int]]:
+    """Return the values of contact sensors that read sand, and the bodies of each, one by one.
+
+    A value has its address, its kind, whether it is a sum, and where its bodies begin and end.
+    """
+    kinds, slots, rows = mujoco.mjtObj, [], []
+    whole = int(kinds.mjOBJ_XBODY)  # of a body and all of its descendants
+    bodies = [model.body(int(name) if name.isdigit() else name).id for name in sand.bodies]
+    ground = {(int(kinds.mjOBJ_UNKNOWN), -1), (int(kinds.mjOBJ_GEOM), model.geom(TERRAIN).id)}
+    ground |= {(kind, model.body(TERRAIN).id) for kind in (int(kinds.mjOBJ_BODY), whole)}
+    for n in (model.sensor_type == mujoco.mjtSensor.mjSENS_CONTACT).nonzero()[0]:
+        if (int(model.sensor_reftype[n]), int(model.sensor_refid[n])) not in ground:
+            continue
+        kind, own, first = int(model.sensor_objtype[n]), int(model.sensor_objid[n]), len(slots)
+        own = int(model.geom_bodyid[own]) if kind == int(kinds.mjOBJ_GEOM) else own
+        for slot, body in enumerate(bodies):
+            while kind == whole and body > own:
+                body = int(model.body_parentid[body])
+            if body == own:
+                slots.append(slot)
+        address, (content, reduce, _) = int(model.sensor_adr[n]), model.sensor_intprm[n][:3]
+        for value, size in enumerate(_SIZES):
+            if content & 1 << value:
+                rows.append((address, value, int(reduce == _NETFORCE), first, len(slots)))
+                address += size
+    return rows, slots
+
+
+@wp.kernel
+def _read_sand(
+    rows: wp.array2d(dtype=int),
+    slots: wp.array(dtype=int),
+    force: wp.array2d(dtype=wp.vec3),
+    depth: wp.array2d(dtype=float),
+    sensordata: wp.array2d(dtype=float),
+):
+    """Write the sand's part of a value of a contact sensor, from the ground's side."""
+    world, n = wp.tid()
+    a, value, is_sum = rows[n, 0], rows[n, 1], rows[n, 2] == 1
+    total, deepest = wp.vec3(), float(0.0)
+    for k in range(rows[n, 3], rows[n, 4]):
+        total += force[world, slots[k]]
+        deepest = wp.max(deepest, depth[world, slots[k]])
+    if wp.length(total) == 0.0:
+        return
+    read = wp.vec3()
+    if value == wp.static(_FORCE):
+        # On the ground. A contact's frame has its normal first, here (0, 0, -1), then (1, 0, 0).
+        read = wp.vec3(total[2], -total[0], total[1])
+        if is_sum:
+            read = wp.vec3(sensordata[world, a], sensordata[world, a + 1], sensordata[world, a + 2])
+            read -= total
+    elif value == wp.static(_NORMAL):
+        read = wp.vec3(0.0, 0.0, -1.0)
+    elif value == wp.static(_TANGENT):
+        read = wp.vec3(1.0, 0.0, 0.0)
+    elif value == wp.static(_FOUND):
+        sensordata[world, a] += 1.0
+        return
+    elif value == wp.static(_DIST):
+        sensordata[world, a] = -deepest
+        return
+    else:
+        return
+    for i in range(3):
+        sensordata[world, a + i] = read[i]
