@@ -38,7 +38,7 @@ class SandMujocoCfg(MujocoCfg):
         super().apply(model)
         model.opt.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
         with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", "contact sensor", UnfeltWarning)  # `_read_sand`
+            warnings.filterwarnings("ignore", "MuJoCo's sensors", UnfeltWarning)  # `_read_sand`
             self.made = WarpSand(model, **self.sand)
 
 

@@ -79,7 +79,7 @@ def _main(given: Sequence[str]) -> int:
         with warnings.catch_warnings(), stopped_by_signals():
             warnings.simplefilter("always", GranularWarning)
             if not isinstance(command, TrainCommand):  # only a policy reads sensors
-                warnings.filterwarnings("ignore", "(touch|contact) sensor", GranularWarning)
+                warnings.filterwarnings("ignore", "MuJoCo's sensors", GranularWarning)
             warnings.showwarning = partial(show_warning, translate=partial(in_options, command))
             return command.run()
     except GranularError as error:

@@ -84,10 +84,10 @@ def make_readings(
         raise InputError(f"config 'measure': {UnknownNameError('measure', measure, MEASURES)}")
     kind = list(MEASURES).index(measure)
     mine = np.flatnonzero(array("sensor_plugin") == instance)
-    addresses, types, ids = (array(f"sensor_{key}") for key in ("adr", "objtype", "objid"))
+    types, ids, frames = (array(f"sensor_{key}") for key in ("objtype", "objid", "reftype"))
     rows = np.zeros(len(mine), READING_DTYPE)
     for row, number in zip(rows, mine, strict=True):
-        row["sand"], row["measure"], row["at"] = sand, kind, addresses[number]
+        row["sand"], row["measure"], row["at"] = sand, kind, array("sensor_adr")[number]
         row["slot"] = row["geom"] = row["site"] = -1
         objtype, object = int(types[number]), int(ids[number])
         if objtype in _BODIES:
@@ -104,9 +104,9 @@ def make_readings(
             others = "body, geom or site" if kind == TOUCH else "body"
             raise InputError(f"objtype must be {others}; omit it for all bodies together")
         if kind == MOMENT and row["slot"] < 0:
-            raise InputError(
-                "a moment is about the center of mass of one body: give objtype and objname"
-            )
+            raise InputError("a moment is about a body's center of mass: give objtype and objname")
+        if frames[number] != _UNKNOWN:
+            raise InputError("forces and moments are in world axes: omit reftype and refname")
     return rows
 
 

@@ -49,46 +49,35 @@ def warn(checks: Iterable[tuple[Callable[..., Iterator[str]], Any]], *arguments:
 # Parts of the model that the sand ignores
 
 
-def touch_sensors(case: Case) -> Iterator[str]:
-    """Check that no touch sensor is on a body in the sand, which it does not measure."""
-    model = case.model
-    site = model.sensor_objtype == mujoco.mjtObj.mjOBJ_SITE
-    ours = model.sensor_objid[site & (model.sensor_type == mujoco.mjtSensor.mjSENS_PLUGIN)]
-    deaf = (model.sensor_type == mujoco.mjtSensor.mjSENS_TOUCH) & ~np.isin(model.sensor_objid, ours)
-    yield from _deaf(case, "touch", deaf)
-
-
 def contact_sensors(case: Case) -> Iterator[str]:
-    """Check that no sensor of contacts with the world, or anything, is on a body in the sand."""
-    model = case.model
-    deaf = model.sensor_type == mujoco.mjtSensor.mjSENS_CONTACT
-    for sensor in deaf.nonzero()[0]:
-        other = _body_of(model, model.sensor_reftype[sensor], model.sensor_refid[sensor])
-        deaf[sensor] = other < 0 or model.body_weldid[other] == 0
-    yield from _deaf(case, "contact", deaf)
-
-
-def _deaf(case: Case, kind: str, deaf: np.ndarray) -> Iterator[str]:
-    model, bodies = case.model, case.model.geom_bodyid[list(case.geoms)]
-    names = [
-        name_of(model, "sensor", sensor) or f"number {sensor}"
-        for sensor in deaf.nonzero()[0]
-        if _body_of(model, model.sensor_objtype[sensor], model.sensor_objid[sensor]) in bodies
-    ]
+    """Check that no sensor is to measure the sand by contacts; those of two bodies are not."""
+    model, types = case.model, mujoco.mjtSensor
+    meets, names = set(model.geom_bodyid[list(case.geoms)]), []
+    objects = list(zip(model.sensor_objtype, model.sensor_objid, strict=True))
+    others = list(zip(model.sensor_reftype, model.sensor_refid, strict=True))
+    ours = [objects[i] for i in (model.sensor_type == types.mjSENS_PLUGIN).nonzero()[0]]
+    kinds = [types.mjSENS_TOUCH, types.mjSENS_CONTACT, types.mjSENS_TACTILE]
+    for sensor in np.isin(model.sensor_type, kinds).nonzero()[0]:
+        first, second = (_moving_bodies(model, *end[sensor]) for end in (objects, others))
+        if (first | second) & meets and not (first and second) and objects[sensor] not in ours:
+            names.append(name_of(model, "sensor", sensor) or f"number {sensor}")
     if names:
-        one = len(names) == 1
         yield (
-            f"{kind} {'sensor' if one else 'sensors'} {listed(names)} {'reads' if one else 'read'} "
-            "contacts alone, and nothing of the sand: the sensor mjgranular.sensor with the "
-            "measure touch does, inside mj_step, and Sand.report"
+            f"MuJoCo's sensors of contacts measure nothing of the sand ({listed(names)}): use the "
+            "sensor mjgranular.sensor with the measure touch inside mj_step, or Sand.report"
         )
 
 
-def _body_of(model: mujoco.MjModel, kind: int, number: int) -> int:
-    """Return the body of what a sensor is on, -1 for none; `kind` is of `mujoco.mjtObj`."""
-    kinds = mujoco.mjtObj
-    bodies = {kinds.mjOBJ_SITE: model.site_bodyid, kinds.mjOBJ_GEOM: model.geom_bodyid}
-    return int(bodies[kinds(kind)][number]) if kinds(kind) in bodies else int(number)
+def _moving_bodies(model: mujoco.MjModel, kind: int, number: int) -> set[int]:
+    """Return the bodies of a sensor's object that can move: the whole tree for a subtree."""
+    roots = model.body_rootid
+    bodies = {
+        mujoco.mjtObj.mjOBJ_SITE: model.site_bodyid[number : number + 1],
+        mujoco.mjtObj.mjOBJ_GEOM: model.geom_bodyid[number : number + 1],
+        mujoco.mjtObj.mjOBJ_BODY: [number],
+        mujoco.mjtObj.mjOBJ_XBODY: np.isin(roots, roots[number : number + 1]).nonzero()[0],
+    }.get(mujoco.mjtObj(kind), ())
+    return {int(body) for body in bodies if moves(model, int(body))}
 
 
 def ignored_parts(case: Case) -> Iterator[str]:
@@ -97,7 +86,11 @@ def ignored_parts(case: Case) -> Iterator[str]:
     if spec.groups is not None or is_choice(spec.bodies) or is_choice(spec.geoms):
         return
     for flex in range(model.nflex):
-        if any(moves(model, body) for body in _bodies_of_flex(model, flex)):
+        bodies = []  # of its vertices or nodes
+        for part in ("vert", "node"):
+            begin, count = (getattr(model, f"flex_{part}{key}")[flex] for key in ("adr", "num"))
+            bodies += getattr(model, f"flex_{part}bodyid")[begin : begin + count].tolist()
+        if any(body > 0 and moves(model, body) for body in bodies):
             yield (
                 f"the sand does not act on flex {name_of(model, 'flex', flex) or flex!r}: it feels "
                 "geoms of rigid bodies alone; name with bodies=[...] those that meet it"
@@ -112,16 +105,6 @@ def ignored_parts(case: Case) -> Iterator[str]:
                 "with bodies=[...] those that meet the sand"
             )
             return
-
-
-def _bodies_of_flex(model: mujoco.MjModel, flex: int) -> set[int]:
-    """Return the bodies of the vertices or nodes of a flex."""
-    bodies = set()
-    for part in ("vert", "node"):
-        first = int(getattr(model, f"flex_{part}adr")[flex])
-        count = int(getattr(model, f"flex_{part}num")[flex])
-        bodies.update(getattr(model, f"flex_{part}bodyid")[first : first + count].tolist())
-    return {body for body in bodies if body > 0}
 
 
 # Ground and feet made for contacts
@@ -191,9 +174,8 @@ _LONGEST_STEP = 0.1
 after 50 ms. A value in milliseconds is 1 or more."""
 
 _DEEPEST_START = 1.0
-"""Depth of the highest point of all that meets the sand [m]. Laws hold to some widths of a body. A
-height in millimeters, or with the wrong sign, is further off. For a robot the limit is half its
-largest geom."""
+"""Depth of the highest point of all that meets the sand [m]. A height in millimeters, or with the
+wrong sign, is further off. For a robot the limit is half its largest geom."""
 
 _WIDEST = 10.0
 """Width of a geom that meets the sand [m]: an excavator's. A geom drawn in millimeters has more."""
@@ -328,12 +310,10 @@ def depth(case: Case, data: mujoco.MjData, when: str) -> Iterator[str]:
 
 def _may_rise(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> bool:
     """Return True if a joint of the body lets it move up, unlike a swimmer in a level plane."""
-    for joint in range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]):
-        kind, axis = model.jnt_type[joint], data.xaxis[joint]
-        is_slide = kind == mujoco.mjtJoint.mjJNT_SLIDE
-        if kind == mujoco.mjtJoint.mjJNT_FREE or (is_slide and abs(axis[2]) > _LEVEL):
-            return True
-    return False
+    joints = model.jnt_bodyid == body
+    is_slide = model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_SLIDE
+    is_free = model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_FREE
+    return bool((is_free | (is_slide & (abs(data.xaxis[joints, 2]) > _LEVEL))).any())
 
 
 def _data_at_start(model: mujoco.MjModel) -> mujoco.MjData:
@@ -401,9 +381,7 @@ def buried_geoms(case: Case) -> Iterator[str]:
         place = data.geom_xpos[geom] - frame["origin"]
         axes = data.geom_xmat[geom].reshape(3, 3)
         top = place @ frame["normal"] + np.abs(frame["normal"] @ axes) @ half_extents(model, geom)
-        is_beside = abs(place @ frame["along"]) > frame["half_along"] or (
-            abs(place @ frame["across"]) > frame["half_across"]
-        )
+        is_beside = any(abs(place @ frame[x]) > frame[f"half_{x}"] for x in ("along", "across"))
         if -top > under and not is_beside:
             deepest, under = geom, float(-top)
     if deepest >= 0:
@@ -415,7 +393,6 @@ def buried_geoms(case: Case) -> Iterator[str]:
 
 
 CHECKS = (
-    (touch_sensors, errors.UnfeltWarning),
     (contact_sensors, errors.UnfeltWarning),
     (ignored_parts, errors.UnfeltWarning),
     (floors, errors.FloorWarning),

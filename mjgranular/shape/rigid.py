@@ -294,9 +294,9 @@ class _Hinge(NamedTuple):
 
 
 def _hinge(model: mujoco.MjModel, weld: int) -> _Hinge | None:
-    """Return the hinge of a rigid body that has one and no other joint."""
-    joint = model.body_jntadr[weld]
-    if model.body_jntnum[weld] != 1 or model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_HINGE:
+    """Return the hinge of a rigid body that turns on one, in a carriage on its other joints."""
+    joint = model.body_jntadr[weld] + model.body_jntnum[weld] - 1
+    if model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_HINGE:
         return None
     return _Hinge(model.jnt_pos[joint].copy(), model.jnt_axis[joint].copy())
 

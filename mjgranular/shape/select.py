@@ -27,12 +27,11 @@ def select_geoms(
 ) -> list[int]:
     """Return the ids of the geoms that meet the sand, in the order of the model.
 
-    A body named in `bodies` adds its collision geoms (contype or conaffinity not zero). A group in
-    `groups` adds those of bodies that can move, or all of a group without collision geoms. A geom
-    named in `geoms` is used as it is, visual or not. The result is the union. "all" for `bodies` or
-    `geoms`, or no selection at all, means every collision geom of a body that can move.
-
-    Each is given as one or several names or ids, and `leave_out` as ids of geoms that are the sand
+    A body named in `bodies` adds its collision geoms (contype or conaffinity not 0, or a <pair>). A
+    group in `groups` adds those of bodies that can move, or all of a group without collision geoms.
+    A geom named in `geoms` is used as it is, visual or not. The result is the union. "all" for
+    `bodies` or `geoms`, or no selection, means every collision geom of a body that can move. Each
+    is given as one or several names or ids, and `leave_out` as ids of geoms that are the sand
     itself. Errors list the names and groups that exist.
     """
     _check_names(model)
@@ -67,8 +66,9 @@ def find_all(model: mujoco.MjModel, kind: str, names: Choice) -> list[int]:
 
 
 def collides(model: mujoco.MjModel, geom: int) -> bool:
-    """Return True if a geom takes part in contacts and is not only visual."""
-    return bool(model.geom_contype[geom] or model.geom_conaffinity[geom])
+    """Return True if a geom takes part in contacts, if only those of an explicit pair."""
+    pairs = np.concatenate([model.pair_geom1, model.pair_geom2])
+    return bool(model.geom_contype[geom] or model.geom_conaffinity[geom] or geom in pairs)
 
 
 def moves(model: mujoco.MjModel, body: int) -> bool:

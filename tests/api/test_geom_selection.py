@@ -64,6 +64,13 @@ def test_what_is_named_is_taken_together(robot, options, expected):
     assert named(robot, **options) == expected
 
 
+def test_a_geom_of_an_explicit_pair_collides():
+    pair = '<contact><pair geom1="floor" geom2="ghost"/></contact></mujoco>'
+    model = mujoco.MjModel.from_xml_string(ROBOT.replace("</mujoco>", pair))
+    assert named(model) == named(model, groups=(0, 3)) == {*EVERY, "ghost"}
+    assert named(model, bodies="foot") == {"foot", "toe", "ghost"}
+
+
 def test_leaving_out(robot):
     for options in ({}, {"groups": 3}, {"bodies": "all"}, {"geoms": "toe", "bodies": "trunk"}):
         left = named(robot, leave_out=[robot.geom("toe").id], **options)

@@ -154,29 +154,27 @@ def test_touch_sensors_of_bodies_in_the_sand_are_told_to_be_numb(own):
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
         mujoco.MjData(spec.compile())
-    numb = [
-        str(one.message) for one in said if "touch sensor sole reads contacts" in str(one.message)
-    ]
+    numb = [str(one.message) for one in said if "the sand (sole)" in str(one.message)]
     assert len(numb) == (0 if own else 1)  # once, though MuJoCo's compiler makes data of its own
 
 
-@DOORS
-def test_contact_sensors_of_bodies_in_the_sand_are_named(door):
-    """Those of contacts with the world or with anything, not with another moving body."""
-    sensors = "".join(
-        f'<contact name="{name}" {ends}/>'
-        for name, ends in (
-            ("floor", 'geom1="ball" geom2="ground"'),
-            ("anything", 'body1="ball"'),
-            ("other", 'geom1="ball" geom2="second"'),
-            ("away", 'geom1="second" geom2="ground"'),
-        )
-    )
-    xml = f"""
-    <mujoco><worldbody>
-      <geom name="ground" type="plane" size="1 1 1" pos="0 0 -1"/>
-      <body name="ball"><freejoint/><geom name="ball" size=".1"/></body>
-      <body name="second" pos="1 0 0"><freejoint/><geom name="second" size=".1"/></body>
-    </worldbody><sensor>{sensors}</sensor></mujoco>"""
-    with pytest.warns(UnfeltWarning, match="^contact sensors floor, anything read contacts alone"):
-        door(xml, bodies=["ball"])
+@pytest.mark.parametrize(
+    ("sensor", "is_told"),
+    [
+        ('contact geom1="ball"', True),
+        ('contact body1="ball" body2="world"', True),
+        ('contact subtree1="ball" geom2="floor"', True),
+        ('contact site="sole"', True),
+        ('contact geom1="ball" body2="peg"', False),  # of two bodies with each other
+        ('contact body1="peg"', False),
+    ],
+)
+def test_contact_sensors_do_not_measure_sand(sensor, is_told):
+    ball = BALL.replace("<geom", '<site name="sole" size=".1"/><geom name="ball"')
+    peg = '<body name="peg" pos="1 0 0"><freejoint/><geom size=".05"/></body>'
+    floor = '<geom name="floor" type="plane" size="1 1 1" pos="0 0 -1"/>'
+    xml = text(ball, peg, floor).replace("</mujoco>", f"<sensor><{sensor}/></sensor></mujoco>")
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always", UnfeltWarning)
+        by_sand(xml, bodies="ball")
+    assert any("the sand (number 0)" in str(one.message) for one in said) == is_told

@@ -21,7 +21,7 @@ from mjgranular.engine.config import SENSOR
 pytestmark = [
     pytest.mark.filterwarnings("ignore::mjgranular.errors.FloorWarning"),
     # The robot has a touch sensor, which is to read as ever: of that a warning tells.
-    pytest.mark.filterwarnings("ignore:touch sensor:mjgranular.errors.UnfeltWarning"),
+    pytest.mark.filterwarnings("ignore:MuJoCo's sensors:mjgranular.errors.UnfeltWarning"),
 ]
 
 GRAVITY = 9.81

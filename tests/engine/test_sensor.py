@@ -159,6 +159,7 @@ def test_what_sleeps_keeps_its_readings() -> None:
         ('key="sand" value="sand"', 'key="sand" value="mud"', "no sand in the model 'mud'"),
         ('objtype="body" objname="b"', 'objtype="body" objname="stone"', "those that do: a, b"),
         ('objtype="body" objname="a"', "", "a moment is about"),
+        ('objname="b"', 'objname="b" reftype="body" refname="a"', "world axes: omit reftype"),
         ('objtype="body" objname="b"', 'objtype="geom" objname="g"', "objtype must be body"),
     ],
 )

@@ -239,15 +239,17 @@ def wheel():
 
 
 def test_grousers_shelter_each_other_along_the_rim():
-    flanks = {}
-    for joint in ("<freejoint/>", '<joint axis="0 1 0"/>', '<joint axis="0 -1 0"/>'):
+    flanks, turns = {}, '<joint axis="0 1 0"/>'
+    carriage = f'<joint type="slide" axis="1 0 0"/><joint type="slide"/>{turns}'
+    for joint in ("<freejoint/>", turns, '<joint axis="0 -1 0"/>', carriage):
         facets, share = exposed(wheel(), joint)
         flank = (facets["geom"] > 0) & (facets["area"] > 1e-4)
         around = np.cross(facets["point"], (0.0, 1.0, 0.0))
         flank &= np.abs((facets["normal"] * around).sum(axis=1)) > 0.9 * RIM
         flanks[joint] = share[flank]
-    free, turning, mirrored = flanks.values()
+    free, turning, mirrored, carried = flanks.values()
     assert turning == pytest.approx(mirrored, abs=1e-9)
+    assert turning == pytest.approx(carried, abs=1e-9)
     assert turning.max() < 0.5 < free.min()  # straight rays miss the next grouser
     assert np.ptp(turning.reshape(GROUSERS, -1), axis=0) == pytest.approx(0, abs=0.05)
 
