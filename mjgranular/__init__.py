@@ -18,7 +18,7 @@ from importlib import import_module as _import_module
 from pathlib import Path as _Path
 from sys import modules as _modules
 
-from mjgranular._util.notebook import show as show
+from mjgranular._util.display import show as show
 from mjgranular._version import __version__ as __version__
 from mjgranular.engine import add_sand as add_sand
 from mjgranular.errors import GranularError as GranularError
