@@ -274,9 +274,7 @@ def _press(run: Run, simulator: Simulator) -> Motion:
 def _place(run: Run, simulator: Simulator) -> Motion:
     """Return the forces on a body at the pose and velocity of each row."""
     model, data, rows = simulator.model, simulator.data, _rows(run)
-    pose = model.qpos0
-    if not isinstance(run.body, Path):
-        pose = run.body.touching(run.angle)
+    pose = model.qpos0 if isinstance(run.body, Path) else run.body.touching(run.angle)
     forces = []
     for row in rows:
         data.qpos[:], data.qvel[:] = pose, 0.0
