@@ -138,8 +138,7 @@ def simulate(
     other kinds the values of each row. The time step is that of a drop [s].
 
     Raises:
-        InputError: the law has no elements for such a body, the run is of a model, or a drop that
-            begins above the sand.
+        InputError: the law has no elements for the body, or the run is of a model or begins in air.
         UnknownNameError: no such law or medium.
     """
     if run.kind == "model":
