@@ -17,8 +17,7 @@ RENDER_MODES = ["human", "rgb_array"]
 class Cameras:
     """A camera that follows the robot, or one of the model's cameras.
 
-    Images have a width and a height [px]; the mode is None, "human" or "rgb_array". No resources
-    are allocated before the first frame.
+    Sizes are in pixels; the mode is None, "human" or "rgb_array".
     """
 
     def __init__(

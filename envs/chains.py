@@ -101,11 +101,10 @@ class ChainSwim(_Chain):
     and y [m/s], of its heading and of the joints [rad/s].
 
     ## Rewards
-    - `reward_forward`: way of the mass centre along x, in body lengths per second, times
-      `forward_reward_weight`.
+    - `reward_forward`: `forward_reward_weight` times the body lengths per second along x.
     - `reward_ctrl`: minus `ctrl_cost_weight` times the sum of squared actions.
 
-    As in Gymnasium, mass centres are those of the last substep's start.
+    As in Gymnasium, it is of the mass centre at the last substep's start.
 
     ## Starting State
     Straight, heading to +x; the heading and each angle are off by up to `reset_noise_scale` rad,
@@ -166,8 +165,7 @@ class ChainCrawl(_Chain):
     its velocities along x and z [m/s]; their angular velocities [rad/s].
 
     ## Rewards
-    - `reward_forward`: way of the mass centre along x, in body lengths per second, times
-      `forward_reward_weight`.
+    - `reward_forward`: `forward_reward_weight` times the body lengths per second along x.
     - `reward_ctrl`: minus `ctrl_cost_weight` times the sum of squared actions.
     - `reward_rate`: minus `rate_cost_weight` times the sum of squared changes of the actions since
       the step before. Without it PPO learns to rear the tail and to tremble with the head, twelve
@@ -183,8 +181,7 @@ class ChainCrawl(_Chain):
     ## Arguments
     `links=7`, `forward_reward_weight=1`, `ctrl_cost_weight=0.005`, `rate_cost_weight=0.02`,
     `reset_noise_scale=0.05`, `frame_skip=8` substeps of 5 ms, and those of `Task`: the medium, here
-    loosely packed poppy seed, randomised sand and so on. At a finer resolution than the default of
-    4 a wave gets 16 % less far.
+    loosely packed poppy seed, and so on. At a finer resolution than 4 a wave gets 16 % less far.
 
     ## Version History
     v0: first.

@@ -43,8 +43,7 @@ class Hexapod(Task):
     at up to that in rad/s, evenly.
 
     ## Episode End
-    Terminated when the torso has turned over: its vertical is more than 60 degrees off. Truncated
-    after 500 steps of 0.04 s.
+    Terminated when the torso tilts by more than 60 degrees. Truncated after 500 steps of 0.04 s.
 
     ## Arguments
     `forward_reward_weight=5`, `ctrl_cost_weight=0.005`, `healthy_reward=0.1`,

@@ -36,12 +36,10 @@ class LinkDrop(Task):
     in units of 40 rad/s, positive with the lower end swinging to the side that the link leans to.
 
     ## Observation Space
-    `Box(-inf, inf, (2,), float64)`: the depth that is asked for, in lengths of the link; the speed
-    of the drop [m/s].
+    `Box(-inf, inf, (2,), float64)`: the depth asked for, in lengths of the link; the speed [m/s].
 
     ## Rewards
-    - `reward_depth`: minus the distance between the depth reached and that asked for, in lengths of
-      the link.
+    - `reward_depth`: minus the difference of depths, reached and asked for, in lengths of the link.
 
     ## Starting State
     The lower end touches the surface. The depth that is asked for is drawn evenly from

@@ -42,8 +42,7 @@ def on_sand(
 
     - the floor makes no contact; the sand acts at every substep, as an engine plugin;
     - a model with RK4 is integrated with `implicitfast`, so that sand can hold a body at rest;
-    - `cfrc_ext`, which some environments observe or penalize, includes the sand's forces in
-      addition to those of contacts;
+    - `cfrc_ext`, which some environments observe or penalize, includes the sand's forces;
     - `info` has the sand's metrics (docs/environments.md); what diverges ends its episode.
 
     Args:

@@ -76,9 +76,8 @@ class SandEnv(gym.Env[np.ndarray, np.ndarray]):
 
         Args:
             seed: seed of the random generator; None to go on.
-            options: ranges for this episode in place of `randomise`, by the names of `SandRanges`:
-                {"strength": 0.5, "slope": (0, 0.1), "media": ("poppy_seed_loose",)}. A curriculum
-                is not asked then.
+            options: ranges for this episode in place of `randomise` and `curriculum`, by the names
+                of `SandRanges`: {"strength": 0.5, "slope": (0, 0.1)}.
 
         Raises:
             UnknownNameError: another option; lists those that there are.

@@ -66,17 +66,14 @@ class Task(SandSpec, ABC):
     A final task is a frozen dataclass; its fields are the options of the environment. Its docstring
     is the environment's specification, in Gymnasium's sections.
 
-    The sand has the fields of `mjgranular.SandSpec`; those below are additional. It always replaces
-    the floor; `instead_of` names other geoms.
+    The sand has the fields of `mjgranular.SandSpec` too. It always replaces the floor.
 
     Attributes:
-        randomise: ranges of the sand of each episode, or a table of them, {"strength": (0.5, 2)};
-            None for a fixed sand.
+        randomise: ranges of the sand of each episode, or {"strength": (0.5, 2)}; None if fixed.
         curriculum: returns the ranges for the next episode, given the number of episodes that this
             simulation has begun; must be within `randomise`.
-        rigid: the x up to which the ground is a rigid floor [m]. Robots start at x = 0, so that 0.5
-            makes one walk from the floor onto sand, and inf leaves no sand to walk on. None or
-            -inf for sand alone.
+        rigid: the x up to which the ground is a rigid floor [m]. Robots start at x = 0: 0.5 makes
+            one walk from the floor onto sand, inf leaves no sand. None or -inf for sand alone.
         observe_sand: append the sampled sand to the observation: strength, density, slope, and a
             one-hot vector if there are several sands.
         frame_skip: substeps in a step.

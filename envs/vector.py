@@ -22,9 +22,8 @@ from mjgranular.errors import InputError, UnknownNameError
 class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     """A task with many simulations, stepped by `mujoco.batch.Batch` on all cores.
 
-    Observations, rewards, ends and `info` are bit-identical to those of `num_envs` `SandEnv` in
-    Gymnasium's `SyncVectorEnv`, for any number of threads. Each simulation has its own random
-    generator, seeded as there.
+    Observations, rewards, ends, `info` and random generators are bit-identical to those of
+    `num_envs` `SandEnv` in Gymnasium's `SyncVectorEnv`, for any number of threads.
 
     Args:
         task: a task or its name.
@@ -32,8 +31,7 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         max_episode_steps: steps after which an episode is truncated; None for never.
         autoreset_mode: when a finished episode restarts.
         threads: number of threads; 0 for one per core.
-        render_mode: None or "rgb_array"; `width`, `height`, `camera_name`, `**options` and errors
-            are those of `SandEnv`.
+        render_mode: None or "rgb_array"; other arguments and errors are those of `SandEnv`.
     """
 
     def __init__(

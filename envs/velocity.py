@@ -633,8 +633,7 @@ class Go2Velocity(Go1Velocity):
     44 mm, and its lower legs, cylinders of 22 to 26 mm.
 
     ## Action Space
-    `Box(-1, 1, (12,), float32)`: that of `Go1Velocity`, front right leg first. The robot's file may
-    have its joints in another order.
+    `Box(-1, 1, (12,), float32)`: that of `Go1Velocity`, whatever the order of joints in the file.
 
     ## Observation Space
     `Box(-inf, inf, (47,), float64)`: that of `Go1Velocity`.
@@ -686,8 +685,7 @@ class G1Velocity(Go1Velocity):
     `Box(-1, 1, (12,), float32)`: positions that the motors go to, 50 times a second, as offsets
     from those of a walk at the commanded velocity ahead; from the stance if the command is to
     stand. The walk lifts a leg in turn, 1.25 times a second each, by bending its knee by 0.7 rad
-    with the sole level, and swings it by 1.2 of the stride that would do without slip. It does not
-    keep its balance.
+    with the sole level, and swings it by 1.2 of the stride without slip. It does not balance.
 
     | index | name | unit | range |
     |---|---|---|---|

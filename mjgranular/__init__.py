@@ -4,8 +4,7 @@ Data flow, and the order in which to read the package: a `Medium` says what the 
 `shape` cuts a model's geoms into elements; `surface` gives their depth; a `law` the force on each;
 a `scheme` makes a step of it; `Sand` binds them to a model.
 
-SI units, radians, world frame with z up; depth is positive below the surface; forces are on the
-body.
+SI units, radians, world frame with z up; depth is positive below the surface, force on the body.
 """
 
 # First, because MuJoCo reads it once, when it is imported: how to draw.
@@ -18,7 +17,7 @@ from importlib import import_module as _import_module
 from pathlib import Path as _Path
 from sys import modules as _modules
 
-from mjgranular._util.notebook import show as show
+from mjgranular._util.display import show as show
 from mjgranular._version import __version__ as __version__
 from mjgranular.engine import add_sand as add_sand
 from mjgranular.errors import GranularError as GranularError

@@ -25,7 +25,7 @@ _PART = 3  # characters of a name that are searched in others
 def shown(value: object) -> str:
     """Format any value for a message, in limited length."""
     if isinstance(value, str):
-        return repr(_cut(value, _LONGEST_VALUE))
+        return repr(cut(value, _LONGEST_VALUE))
     if isinstance(value, int) and value.bit_length() > 64:
         return f"a number of {value.bit_length()} bits"
     if isinstance(value, (list, tuple)):
@@ -33,7 +33,7 @@ def shown(value: object) -> str:
         return f"[{', '.join(map(shown, value))}]" if flat else f"a list of {len(value)}"
     if isinstance(value, dict):
         return "a table"
-    return _cut(repr(value), _LONGEST_VALUE)
+    return cut(repr(value), _LONGEST_VALUE)
 
 
 def one_line(text: str) -> str:
@@ -70,7 +70,8 @@ def similar_names(given: object, known: Sequence[str]) -> list[str]:
     return list(dict.fromkeys(lower[one] for one in (close or within)))[:3]
 
 
-def _cut(text: str, longest: int) -> str:
+def cut(text: str, longest: int) -> str:
+    """Return a string, shortened to a length."""
     return text if len(text) <= longest else text[: longest - 3] + "..."
 
 
@@ -82,9 +83,7 @@ class GranularError(Exception):
 
     def __init__(self, *arguments: object) -> None:
         # Escape before truncating: an escape is longer than the character.
-        clean = (
-            _cut(one_line(a), _LONGEST_MESSAGE) if isinstance(a, str) else a for a in arguments
-        )
+        clean = (cut(one_line(a), _LONGEST_MESSAGE) if isinstance(a, str) else a for a in arguments)
         super().__init__(*clean)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -195,7 +194,7 @@ def warn_user(message: str, kind: type[GranularWarning] = GranularWarning) -> No
     frame = _outside(sys._getframe(1))
     if _is_ours(frame):  # compiled in another thread, for which the main one waits
         frame = _outside(sys._current_frames()[threading.main_thread().ident or 0])
-    text, file = _cut(one_line(message), _LONGEST_MESSAGE), frame.f_code.co_filename
+    text, file = cut(one_line(message), _LONGEST_MESSAGE), frame.f_code.co_filename
     registry = frame.f_globals.setdefault("__warningregistry__", {})
     warnings.warn_explicit(
         text, kind, file, frame.f_lineno, frame.f_globals.get("__name__"), registry

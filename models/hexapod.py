@@ -18,12 +18,10 @@ class Hexapod:
 
     All sizes and masses are chosen, not measured: those of a desktop robot with hobby servos. Body
     `torso` has x forward, y to the left, z up. Joints are `<leg>_swing`, positive as the foot moves
-    forward on either side, and `<leg>_lift`, positive as the foot moves up. Parts of the robot do
-    not collide with each other.
+    forward on either side, and `<leg>_lift`, positive as it moves up. Parts do not collide.
 
     The joint torque is the servo's, up to its stall torque in both directions, minus `torque /
-    speed` times the joint's speed: the straight line from stall torque to no-load speed of a DC
-    motor.
+    speed` times the joint's speed: the line from stall torque to no-load speed of a DC motor.
     """
 
     length, width, height = 0.36, 0.16, 0.06  # of the torso [m]

@@ -39,9 +39,8 @@ class LiRobot:
     at `HIPS` along the body and at the height of the belly.
 
     Attributes:
-        curvature: curvature of the legs, half the chord over the radius of the arc: 1 is a
-            semicircle that bulges in the direction of motion in the sand, 0 is straight, -1 the
-            reversed semicircle.
+        curvature: of the legs, half the chord over the radius of the arc: 1 is a semicircle that
+            bulges in the direction of motion in the sand, 0 straight, -1 the reversed semicircle.
 
     Raises:
         InputError: a curvature outside its range.

@@ -7,23 +7,20 @@ from mjgranular._util.checks import check_name, kind_of, require
 from mjgranular.errors import InputError, MissingExtraError
 
 ROOT = "MENAGERIE_ROOT"
-"""Environment variable: a folder with one folder per robot, such as a checkout of MuJoCo Menagerie.
-The package `mujoco-menagerie` reads it too."""
+"""Environment variable, also of the package `mujoco-menagerie`: a folder of folders of robots."""
 
 
 def robot_path(robot: str | Path) -> Path:
     """Return the path of a robot's MJCF file, without a floor.
 
-    Files are searched in the folder `ROOT`, then by the package `mujoco-menagerie`, which downloads
-    a robot on first use and keeps it.
+    The folder `ROOT` is searched, then `mujoco-menagerie` downloads a robot on first use.
 
     Args:
         robot: a name of MuJoCo Menagerie, such as "unitree_go1"; or a path, returned unchanged.
 
     Raises:
         UnknownNameError: MuJoCo Menagerie has no such robot; lists those it has.
-        InputError: the robot is not on this machine and cannot be downloaded, or `robot` is neither
-            a name nor a path.
+        InputError: the robot cannot be downloaded, or `robot` is neither a name nor a path.
     """
     if not isinstance(robot, (str, Path)):
         raise InputError(f"a robot must be a name or a path, not {kind_of(robot)}")

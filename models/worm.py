@@ -28,9 +28,8 @@ class Worm:
     at the head they drive the whole worm one way.
 
     The joint torque is the servo's, up to its stall torque in both directions, minus `torque /
-    speed` times the joint's speed: the straight line from stall torque to no-load speed of a DC
-    motor. All values are chosen, not measured; with those of a level worm one of a sandfish's size
-    can swim, and they are larger than those of real servos of that size.
+    speed` times the joint's speed: the line from stall torque to no-load speed of a DC motor. All
+    values are chosen; a level worm can swim with them, and they exceed those of real servos.
     """
 
     count: int = 7  # number of links

@@ -82,8 +82,7 @@ def is_text(value: object) -> bool:
 def fits(value: object, kind: Any) -> bool:
     """Return True if a value fits a field of a type.
 
-    Types are plain ones, None, and unions, tuples or literals of these. Numbers from Python, JSON
-    or TOML must be finite, strings printable.
+    Types are plain, None, or unions, tuples or literals. Numbers must be finite, strings printable.
     """
     origin, members = typing.get_origin(kind), typing.get_args(kind)
     if origin in (Union, types.UnionType):

@@ -110,8 +110,7 @@ def latest_path(folder: Path, name: str) -> Path:
 def read_consistent(folder: Path, name: str, read: Callable[[], T]) -> T:
     """Read several files of a folder so that all belong to the same result.
 
-    Every result rewrites the file `name`. `read` takes each with `latest_path`; it is called again
-    if the result has changed meanwhile.
+    Every result rewrites the file `name`: if it has changed, `read` is called again.
     """
 
     def state() -> tuple[object, ...]:
@@ -167,10 +166,7 @@ def remove_folder(folder: Path) -> None:
 
 
 def find_corruption(folder: Path, names: Sequence[str] = ()) -> str | None:
-    """Find what is wrong with a folder written by `write_folder`; None if nothing is.
-
-    Files of the given names must be in it.
-    """
+    """Find what is wrong with a folder of `write_folder` that must have these files; else None."""
     try:
         manifest = read_json(folder / MANIFEST)
         for name in (*manifest, *names):

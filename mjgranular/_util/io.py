@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from mjgranular._util.checks import fits, is_text
-from mjgranular.errors import InputError, OutputError, one_line
+from mjgranular.errors import InputError, OutputError, cut, one_line
 
 # Far larger than what the package writes; chosen, not measured.
 _MOST_TEXT = 16 * 2**20  # bytes
@@ -30,8 +30,7 @@ _PLAINLY = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)  # not defi
 
 def place(path: Path) -> str:
     """Format a path for a message."""
-    text = one_line(str(path))
-    return text if len(text) <= _LONGEST_PATH else text[: _LONGEST_PATH - 3] + "..."
+    return cut(one_line(str(path)), _LONGEST_PATH)
 
 
 def check_regular(path: Path, what: str) -> None:

@@ -1,7 +1,6 @@
 """A name and its options, as in a shell: `link eta_d=7`, `bed geom='my tray'`.
 
-Laws, surfaces and schemes are written in this form in MJCF, on the command line and in Python: this
-is the only parser. Nothing is evaluated.
+MJCF, the command line and Python have laws, surfaces and schemes in this form; none is evaluated.
 """
 
 import shlex

@@ -96,8 +96,7 @@ class ResultFolder:
     ) -> Iterator[None]:
         """Publish summary, resolved options with versions, and all files of the block at once.
 
-        They replace all files of the last result but `keep`. The result may be `unfinished` until
-        `finish` is called.
+        They replace the last result but `keep`; it may be `unfinished` until `finish` is called.
         """
         options = {
             "command": command,

@@ -5,8 +5,7 @@ that is wrong is wrong for a while. For each series, the integrated autocorrelat
 residuals (the sum over lags up to the first pair that is not positive, C. J. Geyer, Statistical
 Science 7 (1992)) is the number of rows that count as one. For few rows this estimate is too small:
 if the correlation of neighbors is significant, that of a first-order process is used if it is
-longer, its coefficient corrected for the bias of short series (M. G. Kendall, Biometrika 41
-(1954)).
+longer, its coefficient corrected for short series (M. G. Kendall, Biometrika 41 (1954)).
 
 The covariance is the sandwich estimator, with the actual weight of each series, not the ideal one,
 and with the error found in each row or one error for the whole series, whichever is larger. Few
@@ -124,8 +123,7 @@ _TAKES_PART = 0.15  # least part in a null direction, relative to its largest; c
 class NullDirection:
     """Constants that trade off against each other: along it curves hardly change.
 
-    With `one_speed`, all runs have the same speed: then a narrow interval assumes an exact law, and
-    does not hold at other speeds.
+    With `one_speed`, a narrow interval assumes an exact law, and does not hold at other speeds.
     """
 
     change: Mapping[str, float]  # relative changes along it; the largest is 1

@@ -124,8 +124,7 @@ class Run:
 
     Raises:
         UnknownNameError: no such kind, column or mark.
-        InputError: a missing or an unused argument for this kind of run; a value out of range; data
-            that cannot be read.
+        InputError: a missing, unused or invalid argument for this kind of run, or unreadable data.
     """
 
     name: str

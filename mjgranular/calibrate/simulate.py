@@ -138,8 +138,7 @@ def simulate(
     other kinds the values of each row. The time step is that of a drop [s].
 
     Raises:
-        InputError: the law has no elements for such a body, the run is of a model, or a drop that
-            begins above the sand.
+        InputError: the law has no elements for the body, or the run is of a model or begins in air.
         UnknownNameError: no such law or medium.
     """
     if run.kind == "model":
@@ -274,9 +273,7 @@ def _press(run: Run, simulator: Simulator) -> Motion:
 def _place(run: Run, simulator: Simulator) -> Motion:
     """Return the forces on a body at the pose and velocity of each row."""
     model, data, rows = simulator.model, simulator.data, _rows(run)
-    pose = model.qpos0
-    if not isinstance(run.body, Path):
-        pose = run.body.touching(run.angle)
+    pose = model.qpos0 if isinstance(run.body, Path) else run.body.touching(run.angle)
     forces = []
     for row in rows:
         data.qpos[:], data.qvel[:] = pose, 0.0

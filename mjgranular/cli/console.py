@@ -19,8 +19,7 @@ from mjgranular.errors import GranularWarning, one_line
 class _PlainConsole(Console):
     """Prints names as they are, without rich's markup: models and files may contain anything.
 
-    Otherwise `[/]` in a name would be an error of rich, and an escape sequence would reach the
-    terminal.
+    Otherwise rich would fail on `[/]` in a name, and escape sequences would reach the terminal.
     """
 
     def __init__(self, *, stderr: bool = False) -> None:

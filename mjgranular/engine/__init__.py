@@ -4,8 +4,7 @@
 machine code in front of Python; `loader` prepares the sand when an `mjData` is made, `block` lays
 it out in memory, `handles` maps simulations to blocks; `callbacks` runs at each step; `sensor` and
 `draw` read its results, `external` adds them to MuJoCo's own sensors, `looks` says how sand is
-drawn, also by Python. `tuning` is sand with its own state. With `pickles`, pickled models import
-mjgranular when they are loaded.
+drawn, also by Python. `tuning` is sand with its own state; pickled models import `pickles`.
 """
 
 from mjgranular.engine.config import NAME as NAME

@@ -2,8 +2,7 @@
 
 Compiled code gets only `mjModel*`, `mjData*` and the index of the plugin instance. Everything else
 that it needs is in one *block* per `mjData`: a header, the table of addresses that programs read
-(`kernel.memory`), and the arrays of one simulation. What all simulations of a model share, above
-all the elements, is not copied.
+(`kernel.memory`), and the arrays of one simulation. What all simulations share is not copied.
 
 The assignment of addresses is not repeated here. The sand is bound to a model and an `MjData` as by
 `Sand`, and its tables are relocated, as a linker relocates a file: the words of a block are numbers
@@ -237,8 +236,7 @@ def make_image(
     binding = bind(model, data, sand, within=True, state=state)
     head = np.zeros(1, HEADER_DTYPE)
     table, workspace = binding.table, binding.workspace
-    # In the engine forces do not use xfrc_applied, MuJoCo itself handles a bad state, and the last
-    # good one is not needed.
+    # In the engine forces do not use xfrc_applied, and MuJoCo itself handles a bad state.
     table[[memory.XFRC, memory.WARNINGS, memory.SNAPSHOT]] = 0
     of_data, of_model = Struct(data, IN_DATA), Struct(model, IN_MODEL)
     shapes = np.array([(one.ctypes.data, one[0]) for one in shape], SHAPE_DTYPE)

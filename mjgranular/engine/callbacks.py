@@ -102,8 +102,7 @@ def state_of(model, data, instance):
 def adjust(block, model, data, instance):
     """Apply the state of a tunable instance; return False if it is unreasonable.
 
-    One `mjData` may serve many simulations in turn, so each call compares the state with the one
-    last applied, bit by bit.
+    One `mjData` may serve many simulations in turn: each call compares with the last state applied.
     """
     header = header_at(block)
     address = state_of(model, data, instance)

@@ -1,8 +1,7 @@
 """A sand as it is written between `<instance>` and `</instance>`.
 
 Each `<config>` has a key that is a field of `SandSpec`, or of `Config`. Law, surface and scheme are
-a name and its options, as in a shell: `link eta_d=7`, `bed geom='my tray'`. Numbers are written so
-that they are read back exactly.
+a name and its options, as in a shell: `link eta_d=7`, `bed geom='my tray'`. Numbers stay exact.
 """
 
 import math

@@ -53,8 +53,7 @@ class HandleTable:
     """The table, as Python writes it, and the blocks of its rows.
 
     An `mjData` may be freed on any thread, with or without Python's lock, so its rows are only
-    flagged then; their blocks are freed when the next one is made. Nothing is freed when Python
-    ends, since simulations may outlive it.
+    flagged then; their blocks are freed when the next one is made, never at Python's end.
     """
 
     def __init__(self) -> None:

@@ -2,8 +2,7 @@
 
 MuJoCo calls `init` for each plugin instance of each new `mjData`, with two C pointers. The sand is
 prepared by the same Python code as for `Sand`, on a copy of the model, and cached by its inputs:
-the next `mjData` of the model, or of another that is the same in these inputs, costs a hash and a
-copy of a block.
+the next `mjData` of a model that is the same in them costs a hash and a copy of a block.
 """
 
 import ctypes

@@ -2,8 +2,7 @@
 
 MuJoCo copies the struct of function pointers at registration, and reads its copy at each call.
 Registered are a few machine instructions (`trampolines`), including the entry into Python; the
-first model with sand adds compiled functions. A program that imports mjgranular without using a
-plugin pays almost nothing.
+first model with sand adds compiled functions. Without one, the import costs almost nothing.
 """
 
 import ctypes
@@ -243,7 +242,6 @@ _PLUGINS = (
     ),
     Plugin(config.SENSOR, config.SENSOR_KEYS, _SENSOR, _VELOCITY, count_values=_count_values),
 )
-
 
 _engine = Engine()
 _refused: list[Exception] = []

@@ -175,9 +175,8 @@ def is_inside(kind, size, point):
 def touch(data, block, row):
     """Return the sum of the magnitudes of forces [N] for a row of `READING_DTYPE`.
 
-    MuJoCo's touch sensor sums the normal forces of contacts within a site's volume. Sand makes no
-    contacts. Here the forces on elements are summed, for a geom or within a site: forces that press
-    on two sides of a body do not cancel.
+    As MuJoCo's touch sensor sums the normal forces of contacts, this sums the forces on elements of
+    a geom or within a site: forces that press on two sides of a body do not cancel.
     """
     header = header_at(block)
     table = table_at(header.table)

@@ -7,8 +7,7 @@ Messages are passed as strings, never as formats.
 
 An interrupt is not an error of MuJoCo: Python would raise that error first, and the interrupt
 somewhere in its handler. So `init` returns success, the rest of MuJoCo's call runs without sand,
-and the interrupt is raised as soon as it returns. From then on that `mjData`, if it is still used,
-counts as one whose sand is not prepared.
+and the interrupt is raised as soon as it returns. The sand of that `mjData` stays unprepared.
 """
 
 import ctypes
@@ -25,8 +24,7 @@ FAIL = "mjgranular_fail"
 """Name of `fail(text)`: raise an error of MuJoCo; does not return."""
 
 UNPREPARED = "mjgranular_unprepared"
-"""Name of `unprepared(data)`: raise an error of MuJoCo that the sand is not prepared; returns only
-if `pausing` allows it."""
+"""Name of `unprepared(data)`: raise MuJoCo's error, unless `pausing` allows unprepared sand."""
 
 FORGET = "mjgranular_forget"
 """Name of `forget(data)`, called when an `mjData` is freed: another may get its address."""

@@ -48,8 +48,7 @@ class Drop(PlainSand):
     Attributes:
         model: the MJCF file, or the name of a robot (`models.robot_path`).
         keyframe: name of the keyframe to start from. Default: the model as it is.
-        height: height of the lowest point above the surface at the start [m]. Default: as the
-            model is.
+        height: initial height of the lowest point above the surface [m]. Default: as the model is.
         velocity: velocity at the start, down [m/s].
         duration: simulated time [s].
         timestep: time step [s]. Default: the model's, at most 1e-4 s with the explicit scheme.
@@ -100,24 +99,16 @@ class Drop(PlainSand):
 
 @dataclass(frozen=True)
 class BodySummary:
-    """Result of a drop for one body.
+    """Result of a drop for one body."""
 
-    Attributes:
-        body: its name.
-        greatest_depth: [m]; negative if it never met the sand.
-        greatest_force: magnitude [N].
-        energy_into_sand: work of the body on the sand [J].
-        within_validity: share of the samples in the sand at which the law was valid, 0 to 1; None
-            if it never met the sand, or the law has no limits.
-        exceeded: measures of validity whose limits it passed at a sample, with the greatest values.
-    """
-
-    body: str
-    greatest_depth: float
-    greatest_force: float
-    energy_into_sand: float
+    body: str  # its name
+    greatest_depth: float  # [m]; negative if it never met the sand
+    greatest_force: float  # magnitude [N]
+    energy_into_sand: float  # work of the body on the sand [J]
+    # Share of the samples in the sand at which the law was valid; None if there are none, or the
+    # law has no limits.
     within_validity: float | None
-    exceeded: dict[str, float]
+    exceeded: dict[str, float]  # measures of validity whose limits it passed: the greatest values
 
     @classmethod
     def of(cls, reports: Sequence[BodyReport], energy: float, force: float, depth: float) -> Self:
@@ -152,8 +143,7 @@ class DropResult:
         scheme: name of the scheme.
         timestep: [s].
         elements: number of elements.
-        rest: time from which every body of the model stays where it is and does not turn [s]; None
-            if they still move.
+        rest: time from which no body of the model moves or turns [s]; None if one still does.
         bodies: one summary per body.
         t: times of the samples [s], shape (n,).
         qpos: shape (n, nq).

@@ -37,8 +37,7 @@ class PlainSand:
             collide. Bodies, geoms and groups are combined.
         groups: geom groups whose collision geoms meet the sand; of a group of visual ones, all.
         resolution: how finely bodies are cut into elements. Default: the law's.
-        instead_of: geoms that the sand replaces, such as a floor that would carry the model above
-            the sand.
+        instead_of: geoms that the sand replaces, such as a floor that would carry the model.
         memory: side of a cell [m], or words such as "cell=0.01 extent=4", for sand that keeps
             tracks. Default: it closes behind a body.
         keep_floor: let the model stand on its own ground at or above the surface of the sand.

@@ -38,8 +38,7 @@ class Impact:
     Attributes:
         speed: velocity of the lower end T at release, down [m/s].
         angle: angle of the link from the vertical, less than a right angle [rad].
-        tangential_speed: velocity of T along the surface at release, toward the side that the link
-            leans to [m/s].
+        tangential_speed: velocity of T along the surface at release, to where the link leans [m/s].
         angular_velocity: rate of change of the angle at release [rad/s].
         height: height of T above the surface at release [m].
         length: length of the link [m].

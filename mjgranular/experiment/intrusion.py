@@ -128,8 +128,7 @@ class IntrusionResult:
         elements: number of elements.
         travelled: distance from the start [m], shape (n,).
         depth: depth of the deepest point [m], shape (n,).
-        force: resistance against the motion, lift (up, across the motion) and sideways force (+y)
-            [N], shape (n, 3).
+        force: resistance, lift (up, across the motion) and sideways force (+y) [N], shape (n, 3).
         moment: moment about the intruder's center of mass, world axes [N m], shape (n, 3).
         valid: whether the law was valid, shape (n,).
     """
@@ -258,8 +257,7 @@ def _model(intrusion: Intrusion) -> mujoco.MjModel:
         raise InputError(
             f"{intrusion.model} has {len(roots)} bodies ({names}): use --geom with a geom of one"
         )
-    # The intruder is rigid, moved as a whole, and alone. What refers to joints, geoms and bodies is
-    # deleted before they are.
+    # The intruder is rigid and alone. What refers to joints, geoms and bodies is deleted first.
     others = [*spec.sensors, *spec.actuators, *spec.equalities, *spec.tendons, *spec.keys]
     others += [*spec.pairs, *spec.excludes, *spec.worldbody.geoms]
     others += [joint for body in spec.bodies for joint in body.joints]

@@ -83,8 +83,7 @@ REST_WINDOW = 0.02
 REST_DISTANCE = 2e-5
 
 STILL = 1e-9
-"""Speed below which a point stands still [m/s]. The implicit scheme leaves some 1e-12 of either
-sign; chosen."""
+"""Speed below which a point stands still [m/s]; chosen: the implicit scheme leaves some 1e-12."""
 
 # Steps that a line is fitted to where velocities tremble. Chosen by trying: at 1e-6 s, 3 of 120
 # drawn conditions still miss 0.1 % of the stopping time (the worst 1.7 %); up to 1024 steps miss as

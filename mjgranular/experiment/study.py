@@ -198,10 +198,7 @@ Row = dict[str, Any]
 """Result of one experiment: plain numbers and names."""
 
 Custom = tuple[list[type[Law]], dict[str, Medium]]
-"""Laws and media that are not part of the package: what a study needs besides, and workers too.
-
-Workers import laws from the modules that define them.
-"""
+"""Laws, which workers import from their modules, and media that are not part of the package."""
 
 
 @dataclass(kw_only=True)
@@ -299,8 +296,7 @@ def run_experiment(experiment: Experiment) -> Row:
 def _try(experiment: Experiment) -> None:
     """Set up the first experiment, and make a step.
 
-    This reports what is wrong with all of them before workers start, and compiles missing machine
-    code once, not in all of them.
+    It finds what is wrong with all, and compiles machine code once, before workers start.
     """
     short: dict[str, Any] = {"points": 2}
     if isinstance(experiment, Impact):

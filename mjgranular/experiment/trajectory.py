@@ -33,8 +33,7 @@ class Trajectory:
         y_T: depth of T [m].
         v_Tx: velocity of T along x [m/s].
         v_Ty: velocity of T, down [m/s].
-        x_E: position along the surface of E, where the sand's force acts on the deepest
-            element [m].
+        x_E: position along the surface of E, where the force on the deepest element acts [m].
         y_E: depth of E [m].
         F_x: force of the sand along x [N].
         F_y: force of the sand, down [N].

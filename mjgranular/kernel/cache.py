@@ -135,8 +135,7 @@ def _publish(staging: Path, folder: Path) -> None:
     try:
         staging.rename(folder)
     except OSError:
-        # It exists. That of a faster process stays, since another may be loading it; a damaged
-        # one is replaced.
+        # It exists. That of a faster process may be in use and stays; a damaged one is replaced.
         if not _is_complete(folder):
             shutil.rmtree(folder, ignore_errors=True)
             staging.rename(folder)

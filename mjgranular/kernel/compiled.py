@@ -61,12 +61,10 @@ def compiled(function: Callable[..., Any], *, inline: bool = False, merge: bool 
     """Compile `function` in nopython mode at first use: a kernel, called like `function`.
 
     It may have scalar arithmetic and loops over arrays, without Python objects, exceptions or new
-    arrays, and may be made by a factory, with other kernels in its closure. Only whole programs are
-    cached on disk (`entry`, `program_address`).
+    arrays, and kernels in its closure. Programs are cached on disk (`entry`, `program_address`).
 
     `inline` is for small functions in loops over elements, and for those that pass on many numbers;
-    more of it costs compile time. `merge` is for a large function with one caller: it is compiled
-    as a part of that, which takes less time.
+    it costs compile time. `merge`, for a large function with one caller, saves compile time.
     """
     made_of = names_in_closure(function)
     # numba names machine code by this and by a counter that starts over in every process: without

@@ -64,8 +64,7 @@ def exponential(x):
 def logarithm(x):
     """Return ln(x), for normal x > 0.
 
-    n ln 2 + 2 artanh(z) with x = 2^n m, z = (m - 1) / (m + 1); of artanh(z), |z| <= 0.18, the first
-    11 terms of its series.
+    n ln 2 + 2 artanh(z), x = 2^n m, z = (m - 1) / (m + 1), |z| <= 0.18, by 11 terms of its series.
     """
     bits = bits_of(x)
     n = number_of((bits >> 52) | _EXPONENT_BITS) - (4503599627370496.0 + 1023.0)

@@ -61,8 +61,7 @@ is_sparse = _function("mj_isSparse", _ADDRESS, result=_INT)
 actuator_damping = _function("mj_actuatorDamping", _ADDRESS, _INT, _INT, _ADDRESS, result="float64")
 init_geom = _function("mjv_initGeom", _ADDRESS, _INT, *4 * (_ADDRESS,))
 connect_geom = _function("mjv_connector", _ADDRESS, _INT, "float64", _ADDRESS, _ADDRESS)
-# For the integrator `discrete`. Inverse dynamics computes metric and constraint rows without
-# calling the user's controller.
+# For the integrator `discrete`: metric and constraint rows without calling the user's controller.
 inverse_dynamics = _function("mj_inverseSkip", _ADDRESS, _ADDRESS, _INT, _INT)
 metric_shift = _function("mj_effShift", _ADDRESS, _ADDRESS)
 add_metric_product = _function("mj_effMulAdd", _ADDRESS, _ADDRESS, _ADDRESS, _ADDRESS, _INT)

@@ -25,14 +25,10 @@ from mjgranular.kernel.vector import Matrix, Vector, VectorType
 
 @dataclass(frozen=True)
 class Access:
-    """Kernels for values of one kind in an array of floats.
+    """Kernels for values of one kind in an array of floats."""
 
-    `read(array, first)` returns the value whose first number has this index, `write(array, first,
-    value)` writes it.
-    """
-
-    read: Any
-    write: Any
+    read: Any  # `read(array, first)` returns the value whose first number has this index
+    write: Any  # `write(array, first, value)` writes it
 
 
 @cache

@@ -21,8 +21,7 @@ from numba.extending import lower_builtin, models, register_model, type_callable
 from mjgranular.kernel.intrinsics import intrinsic
 
 LINE = 64
-"""Bytes in a cache line, and in the widest vector. Rows that span two lines take up to twice as
-long to read."""
+"""Bytes in a cache line, and in the widest vector; rows that span two lines are slower to read."""
 
 _DOUBLE, _INT = ir.DoubleType(), ir.IntType(64)
 

@@ -91,12 +91,9 @@ def field(struct: str, name: str) -> Any:
 
 
 def numbers_of(context: Any, builder: Any, array: Any, args: Any, last: int) -> Any:
-    """Return the address of an array's numbers after a check of the indices.
+    """Return the address of an array's numbers; check the indices as numba's own indexing does.
 
-    The check is only in builds with bounds checks, as for numba's own indexing.
-
-    `args` are the array and the first index that is read or written; `last` is the offset of the
-    last index from the first.
+    `args` are the array and the first index used, `last` the offset of the last one from it.
     """
     opened = context.make_array(array)(context, builder, args[0])
     if context.enable_boundscheck:
@@ -152,8 +149,7 @@ longs = records(np.dtype(np.int64))
 def row_of(address, number, width):
     """Return a row of a matrix of floats at an address.
 
-    numba checks every index for a negative value, which counts from the end, except constants, such
-    as indices into a row.
+    numba checks every index but constants, such as those into a row, for a negative value.
     """
     return floats(address + 8 * width * number, width)
 

@@ -1,7 +1,6 @@
 """Records of kernels: of each body in the sand and of each element, filled; the model's options.
 
-A user may change options between any two steps, so nothing that depends on them is stored: kernels
-read `mjOption` in place in `mjModel`.
+A user may change options between any two steps: kernels read `mjOption` in place in `mjModel`.
 """
 
 from functools import partial

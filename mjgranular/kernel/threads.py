@@ -1,8 +1,7 @@
 """Locks of this package, and work that an interrupt must not split.
 
-A forked process has one thread: a lock held by another thread is never released there, and the
-state that it protects is incomplete. So all locks are taken before a fork, which waits for work in
-progress, and released after it on both sides.
+A forked process has one thread: a lock held by another thread is never released there. So all locks
+are taken before a fork, which waits for work in progress, and released after it on both sides.
 
 Python raises `KeyboardInterrupt`, and whatever else a signal's handler raises, in the main thread,
 between any two of its instructions. A compiler interrupted there is left in an inconsistent state.

@@ -19,8 +19,7 @@ _WORD = ir.IntType(64)
 class Views(types.Type):
     """A record of words: numbers of given types, then addresses of arrays; `dtype` in memory.
 
-    For each array `arrays` has the type of its items, and its shape in numbers and names of the
-    record's numbers.
+    `arrays` has the type of the items of each, and its shape in integers and names of numbers.
     """
 
     def __init__(

@@ -16,13 +16,10 @@ from mjgranular.learn.checkpoint import Progress, save_checkpoint
 from mjgranular.learn.run import CURVE, Run, curve_text
 
 _ROWS_PER_CHECKPOINT = 5  # of the learning curve
-# Episodes in the mean return that is reported, or as many as there are environments, if these are
-# more; chosen, not measured.
-_NEWEST = 20
+_NEWEST = 20  # episodes in the reported mean return, or one per environment if more; chosen
 
 Report = Callable[[int, float | None], None]
-"""Called with the steps done and the mean return of the newest episodes (None before the first
-ends)."""
+"""Called with the steps done and the mean return of the newest episodes, None before any ends."""
 
 
 class CheckpointCallback(BaseCallback):

@@ -68,13 +68,9 @@ def _frame(env: Any) -> np.ndarray:
 class Live:
     """An agent in an environment, episode after episode, without a limit of time.
 
-    The environment is of the package or a `MujocoEnv` of Gymnasium; `seed` is of the first episode.
-
-    Attributes:
-        model: the environment's model.
-        data: its simulation.
-        camera: settings of a camera, as in Gymnasium.
-        command: the velocity that the robot is to have; None if its task has no commands.
+    The environment, of the package or a `MujocoEnv` of Gymnasium, has the `model`, the `data` and
+    the settings of the `camera`. `seed` is of the first episode; `command` is the velocity that the
+    robot is to have, None if its task has no commands.
     """
 
     def __init__(self, env: Any, agent: Agent, seed: int) -> None:

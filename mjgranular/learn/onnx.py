@@ -56,7 +56,6 @@ def export_safetensors(policy: Policy, file: str | Path) -> Path:
     The JSON file has the same name with the suffix .json: the environment, its sand, versions, and
     `operations`, a list of names of ONNX operators in their order, from observations to actions.
     Constants of operation i are the tensors "i.0", "i.1"; those of a `Gemm` are weight and bias.
-    Neither of the files must exist yet.
 
     Raises: as `export_onnx`.
     """

@@ -92,6 +92,5 @@ def _folder(where: Path | str) -> Path:
         return path.parent
     if path.is_dir():
         return path
-    names = list(shipped_policies())
-    check_name("run folder or policy", str(where), names)
+    check_name("run folder or policy", str(where), shipped_policies())
     return SHIPPED / str(where)

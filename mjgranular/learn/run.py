@@ -51,11 +51,8 @@ class Run:
     settings: Settings  # resolved
     seed: int  # all random numbers follow from it
     versions: dict[str, Any]  # versions of the packages that it was started with
-    # Sand of its environment when the run started; None if unknown, as for environments without a
-    # MuJoCo model
-    sand: Sands | None = None
-    # Whether the user trusts it, so that modules that it names may be imported
-    trusted: bool = False
+    sand: Sands | None = None  # of its environment when it started, as of `sands_of`
+    trusted: bool = False  # whether modules that it names may be imported
 
     @property
     def arguments(self) -> dict[str, Any]:
@@ -127,8 +124,7 @@ class Run:
     def check_environment(self) -> None:
         """Check that no module is imported only because an untrusted file names it.
 
-        An environment `module:Name-v0` executes its module. This is allowed if the user trusts the
-        run, or has already imported the module.
+        One named `module:Name-v0` must be imported already, unless the user trusts the run.
         """
         module, colon, name = self.environment.rpartition(":")
         # These of Gymnasium make an environment of any module that their arguments name.
@@ -146,8 +142,7 @@ def begin_run(path: Path | str, environment: str, settings: Settings, *, seed: i
     """Make the folder of a new run. If two processes try at once, one of them fails.
 
     The environment, by Gymnasium's id, is made once, to record its sand. All random numbers follow
-    from the seed. Files that the environment is made with, such as a medium's, are noted with their
-    absolute paths.
+    from the seed. Files that it is made with, such as a medium's, are noted with absolute paths.
 
     Raises:
         OutputError: the folder is not empty, or cannot be written to.

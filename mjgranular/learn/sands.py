@@ -31,8 +31,7 @@ Sands = list[dict[str, Any]]
 def sands_of(env: Any) -> Sands | None:
     """Return the sands in the model of an environment, and of each `Sand` that is its attribute.
 
-    The list is empty without sand; the result is None if the sand is unknown, for environments
-    without a MuJoCo model as attribute `model`.
+    The result is None if the sand is unknown: the environment has no MuJoCo model as `model`.
     """
     inner = env.unwrapped
     model = getattr(inner, "model", None)

@@ -46,10 +46,9 @@ class Settings:
         normalize_rewards: by the running variance of the return, in training only.
         checkpoint_every: steps from one checkpoint to the next.
         start_from: the policy to continue from, with its scales of observations: the folder of a
-            run or the name of a policy of the package; None or "" to start from random weights
-            (`--set start_from=` in place of what a file of settings has). It also sets the noise,
-            unless `policy` has `log_std_init`. PPO: observations that it has not got must be the
-            last; their weights begin at zero.
+            run or the name of a policy of the package; None or "" for random weights. It also sets
+            the noise, unless `policy` has `log_std_init`. PPO: observations that it has not got
+            must be the last; their weights begin at zero.
         arguments: arguments of the algorithm's class. A learning rate or clip range "linear_3e-4"
             falls from there to zero; `action_noise` is the standard deviation of normal noise.
         policy: further arguments of the algorithm's policy, such as `log_std_init`.
@@ -125,8 +124,7 @@ def find_settings(
         env_id: Gymnasium id, such as `mjgranular/ChainSwim-v0`.
         algorithm: None for the one that the file names.
         file: file to read, with `algorithm`, a table `[environment]`, and one for each algorithm;
-            or an id, for the settings of that environment; None for those of this one or, where
-            there are none, the default.
+            or an id, for the settings of that environment; None for those of this, or the default.
 
     Raises:
         InputError: the file cannot be read, or has a wrong key or value.
@@ -163,9 +161,8 @@ def change(settings: Settings, changes: Sequence[str] | str) -> Settings:
 
     Args:
         settings: the initial settings.
-        changes: one or several `name=value`, where name is a field of the settings (`num_envs=8`),
-            an argument of the algorithm (`gamma=0.98`), `policy.name` or `environment.name`; values
-            as in TOML, where strings need no quotes.
+        changes: one or several `name=value` as in TOML, strings without quotes; name is a field of
+            the settings, an argument of the algorithm, `policy.NAME` or `environment.NAME`.
 
     Raises:
         InputError: a change of another form, an unknown name or a wrong type.

@@ -40,16 +40,14 @@ class Training:
 def train(run: Run, *, report: Report | None = None, warp: str | None = None) -> Training:
     """Train until `total_steps`, from the newest checkpoint if there is one.
 
-    SIGTERM or Ctrl-C end it early, with a checkpoint of what was learned so far; a second one ends
-    it at once. The caller must lock the run.
+    SIGTERM or Ctrl-C end it with a checkpoint, a second one at once. The caller must lock the run.
 
     At each checkpoint the environments begin new episodes and all random numbers start over from
     the run's seed and the number of steps, in the same process as in a new one. So a run that was
     killed and resumed gives the same policy, bit for bit, as one that was not.
 
     `report` is called at every step of the environments. `warp` is the device of MuJoCo Warp that
-    steps the batch, "cuda:0", "cpu" or "auto"; None for MuJoCo on this machine's cores. A run may
-    change this at any checkpoint.
+    steps the batch, "cuda:0", "cpu" or "auto"; None for MuJoCo. It may change at a checkpoint.
 
     Raises:
         InputError: environment, algorithm, its arguments and the policy to start from do not match.

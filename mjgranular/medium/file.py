@@ -97,8 +97,7 @@ _REQUIRED = ("name", "title", "density", "default_law", "constants")
 def read_medium(path: str | Path) -> Medium:
     """Read a medium from a YAML file of the form of `EXAMPLE`.
 
-    The file may be untrusted: nothing in it is executed, and no more is read than a medium needs
-    (`LARGEST`, `read_outline_file`).
+    The file may be untrusted: nothing in it is executed, and at most `LARGEST` is read.
 
     Raises:
         InputError: the path cannot be read, is not a file, or is too large; a key is missing; or a

@@ -51,8 +51,7 @@ class Medium:
         grain: diameter of a grain [m], None if unknown.
 
     Raises:
-        InputError: a density or grain size is out of range, a constant is not finite, or the
-            default law has no constants.
+        InputError: a number is out of its range, or the default law has no constants.
     """
 
     name: str

@@ -13,8 +13,7 @@ _GENERIC_SOURCE = (
 )
 
 _MEDIA = {
-    # The paper uses the density of quartz grains, not of a bed with air between them. Its
-    # coefficients assume that value, so it is kept.
+    # The paper's coefficients assume the density of quartz grains, not of a bed of them.
     "play_sand": ("Play sand (Quikrete 1113-51)", "link"),
     "quikrete_medium": ("Quikrete medium sand", "rft3d_dynamic"),
     "glass_beads": ("Glass beads, 250 to 350 um", "rft2d_dynamic"),

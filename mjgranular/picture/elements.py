@@ -216,8 +216,7 @@ def add_elements(
     Return the number of geoms added. The options are those of `draw_elements`.
 
     Raises:
-        InputError: the scene has too few free geoms, and then nothing is added; or `data` belongs
-            to another model.
+        InputError: too few free geoms in the scene (nothing is added), or `data` of another model.
         UnknownNameError: no such coloring; lists the valid ones.
     """
     shown = Shown.at(sand, data, color)
@@ -257,8 +256,7 @@ def _add_bodies(scene: mujoco.MjvScene, shown: Shown) -> None:
         scene.ngeom += 1
 
 
-# For each element: the type of geom, its size as in a model (n, 3), its axes in the body's frame,
-# in columns (n, 3, 3).
+# Of each element: geom type, size as in a model (n, 3), axes in the body's frame, columns (n, 3, 3)
 _Bodies = tuple[list[mujoco.mjtGeom], np.ndarray, np.ndarray]
 
 

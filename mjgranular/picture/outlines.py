@@ -42,8 +42,7 @@ class Shown:
     def at(cls, sand: Sand, data: mujoco.MjData, color: str, *, of_state: bool = False) -> Self:
         """Return the elements at the state in `data`.
 
-        Poses of bodies are those that MuJoCo computed last, as in its scenes, or with `of_state`
-        those at `qpos`.
+        Poses of bodies are the last that MuJoCo computed, or with `of_state` those at `qpos`.
         """
         kind, elements, report = kind_of(sand), sand.elements, sand.report(data)
         check_name("way to color elements", color, get_args(Color))

@@ -1,8 +1,7 @@
 """Independent tasks on processes of this machine or on Ray.
 
-Callers need only `map_tasks`. Results survive any end of the run: each is written to a `Journal` as
-soon as it exists, so that memory does not grow with them and a later run, on either
-engine, resumes from there.
+Callers need only `map_tasks`. Each result is written to a `Journal` as soon as it exists: memory
+does not grow with them, and after any end of the run a later one, on either engine, resumes.
 """
 
 from mjgranular.pool.journal import UNFINISHED as UNFINISHED

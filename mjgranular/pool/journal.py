@@ -15,8 +15,7 @@ from mjgranular._util.versions import versions
 from mjgranular.errors import InputError, OutputError
 
 UNFINISHED = "unfinished.jsonl"
-"""The file: the request, then a line of JSON for each result. A folder that contains it has an
-unfinished run."""
+"""File of an unfinished run: the request, then a line of JSON for each result."""
 
 _NONE = -1
 _DAMAGED = "it is damaged"

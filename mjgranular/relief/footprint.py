@@ -30,7 +30,6 @@ FOOT_DTYPE = np.dtype(
     ]
 )
 
-
 LANES = 8  # points processed side by side, a tile
 
 TILE = 6 * LANES
@@ -60,8 +59,7 @@ def surroundings_of(model: mujoco.MjModel, geoms: Sequence[int], memory: Memory)
 def fitting(model: mujoco.MjModel, geoms: Sequence[int], memory: Memory) -> Memory:
     """Return a memory whose extent fits the model, unless the extent was set.
 
-    It must hold the surroundings of its widest geom, and everything that meets the sand at qpos0,
-    with a quarter of a meter on each side.
+    It must hold the surroundings of its widest geom, and all bodies at qpos0 with 25 cm around.
     """
     needed = WINDOW * surroundings_of(model, geoms, memory), spread_of(model, geoms) + _BESIDE
     return memory.reaching(max(needed))

@@ -16,8 +16,7 @@ from mjgranular.kernel.compiled import compiled
 # pressed down, heaped up, forgotten where the grid is wrapped around, and that wait for a rim to be
 # deposited on [m^3]; lengths of both lists; time since bodies last pressed, and since sand last
 # flowed, in units of sqrt(cell / g); time of the last step [s], by which a `Sand` detects that a
-# simulation has started over; 1 if the last update changed nothing, so that another at the same
-# poses would not either.
+# simulation has started over; 1 if the last update changed nothing.
 HIGHEST, SETTLED, SEEN, ROW, PRESSED, HEAPED, FORGOTTEN, WAITING, COVERED, ACTIVE = range(10)
 SINCE_PRESSED, SINCE_FLOWED, TIME, SETTLES = range(10, 14)
 

@@ -12,8 +12,7 @@ from mjgranular.errors import InputError, shown
 from mjgranular.relief.grid import HEADER, node_keys, state_size
 
 REPOSE = math.radians(32)
-"""Angle of repose of dry sand [rad]. Chosen within the published range of 29 to 35 degrees
-(docs/memory.md)."""
+"""Angle of repose of dry sand [rad]; chosen from a range of 29 to 35 degrees (docs/memory.md)."""
 
 MOST_CELLS = 2000  # maximum along a side; chosen: 100 MB for each simulation
 EXTENT = 2.0  # default side of the stored square [m]; chosen

@@ -23,12 +23,10 @@ from mjgranular.kernel.vector import dot, norm, read_vector
 from mjgranular.relief.grid import HIGHEST, height_at, mean_at, state_size
 
 AHEAD = 1.5
-"""How far ahead of a steep face sand is evaluated [cells]: beyond all nodes that the body itself
-has pressed down. Chosen."""
+"""How far ahead of a steep face sand is evaluated [cells]; chosen: past what it pressed down."""
 
 STEEP = 0.7
-"""Sine of the tilt from which a face looks that far ahead, and presses nothing down: 45 degrees.
-Chosen."""
+"""Sine of the tilt from which a face looks ahead and presses nothing down; chosen: 45 degrees."""
 
 state_length = compiled(state_size)  # `state_size` for kernels
 

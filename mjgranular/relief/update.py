@@ -39,12 +39,10 @@ from mjgranular.relief.relief import Relief
 from mjgranular.surface import Surface
 
 LEAST = 0.1
-"""Least height that is pressed down at once, relative to the slack, within which force does not
-change. Chosen: slowly creeping bodies then update rarely."""
+"""Least height pressed at once, relative to the slack; chosen: creeping bodies update rarely."""
 
 FACES_DOWN = -math.sin(math.radians(1.0))
-"""Largest component of a normal along the sand's for which a surface presses sand down: steeper
-faces cover no area. Chosen."""
+"""Largest component of a normal along the sand's with which a surface presses it down; chosen."""
 
 
 class Skin(NamedTuple):
@@ -101,8 +99,7 @@ def press_kernel(level: Any, is_flat: bool) -> Any:
 
     Sand that reaches the surface of a body is pressed down: at the four nodes around a surface
     point, to the height of the point or, where the surface rises beside it, to its tangent plane.
-    Upright surfaces press nothing down, nor do those that face upward. The points are one tile,
-    `LANES` of them.
+    Upright surfaces and those that face upward press nothing down. The points are one tile.
     """
     read, write, room = rows(Skin, LANES).read, rows(float, LANES).write, scratch(5 * LANES)
 
@@ -165,10 +162,9 @@ def press_kernel(level: Any, is_flat: bool) -> Any:
 
 @compiled
 def heap(state, relief, first, volume):
-    """Deposit sand around a body: each edge node of its track on all nodes within two cells.
+    """Deposit a volume [m^3] around a body: each edge node of its track on nodes within two cells.
 
-    `first` is the first of the listed places under the body, which are the last in the list; the
-    volume is in m^3.
+    `first` is the first of the listed places under the body, which are the last in the list.
     """
     volume += state[grid.WAITING]
     if not volume > 0.0:
@@ -232,8 +228,7 @@ REST = 5e-3  # slope that may remain above that of repose: 0.2 degrees; chosen
 def slope_to(height, other, sign, level):
     """Return the slope along an axis between heights of neighbors [cells].
 
-    The other one is NaN where nothing flows: then it is that of level sand. The sign is 1 if it is
-    ahead along the axis, -1 if behind.
+    The other is NaN where nothing flows: then it is level. The sign is 1 if it is ahead, else -1.
     """
     return sign * (other - height) if other == other else level
 
@@ -396,12 +391,11 @@ _feet = records(FOOT_DTYPE)
 # Rates depend on elapsed time, so not on the time step.
 PRESSED_AFTER, FLOWS_AFTER = 0.3, 1.0
 """Time until bodies press and sand flows again, in units of sqrt(cell / g), 32 ms for cells of 10
-mm: an update every few steps costs less. Chosen: with half of it the path of a walking hexapod is
-the same within 1 %."""
+mm. Chosen: with half of it the path of a walking hexapod is the same within 1 %."""
 
 STILL = 1e-3
-"""How far a surface point may move until bodies press again [cells], while nothing flows. Chosen: a
-tenth of the height that is not pressed down at once (`LEAST`)."""
+"""How far a point may move until bodies press again [cells], if nothing flows; chosen: a tenth of
+`LEAST`."""
 
 FASTEST = 1.5  # greatest rate of flow; chosen below 2, where sand would not come to rest
 

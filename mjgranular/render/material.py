@@ -26,7 +26,6 @@ _PARALLEL = 0.999  # cosine of the largest angle between faces that hide each ot
 _SHOWN = 3  # number of geom groups that viewers and renderers show by default
 _DEFAULT = (0.5, 0.5, 0.5, 1.0)  # color of a geom whose color is not set
 
-
 _CORNERS = np.array([-64.0, -10.0, -3.0, -1.0, 0.0, 1.0, 3.0, 10.0, 64.0])
 _MIDDLES, _HALVES = (_CORNERS[1:] + _CORNERS[:-1]) / 2, np.diff(_CORNERS) / 2
 _GRID = [np.meshgrid(x, x, indexing="ij") for x in (_MIDDLES, _HALVES)]

@@ -51,8 +51,7 @@ def add_skin(
     """Add the skin of a sand to a model, unless it has it; physics are the same to the last bit.
 
     MuJoCo does not draw it, since it is transparent, but computes its vertices and normals for code
-    that does. Its color is that of the visible material times `rgb`; `thickness` is that of the
-    sand, if its walls are visible [m].
+    that does. Its color is the material's times `rgb`; `thickness` is that of visible sand [m].
     """
     name = f"{SKIN} {sand}"
     if any(skin.name == name for skin in spec.skins):

@@ -3,8 +3,7 @@
 It draws a window of the skin's grid around the robot, block by block. Blocks in which sand has
 moved have their vertices in place. The others have theirs in one point under the surface, where
 they cost nothing, and are drawn as rectangles. Beside a drawn block the next vertices are slightly
-under the rectangles, so that MuJoCo, which computes normals from triangles, computes the same at
-its edge as inside.
+under the rectangles, so that normals, which MuJoCo computes from triangles, have no edge there.
 """
 
 import math
@@ -53,10 +52,9 @@ FRAME_DTYPE = np.dtype(
 SIGNATURE = "int64(int64, float64)"
 """Signature of the program that fits a skin to the sand."""
 
-
 Region = tuple[np.ndarray, np.ndarray, float]
-"""A rectangle of sand along the axes of the plane under the heights: its lowest and highest corner,
-and the lower edge of its walls, over the plane; 0 for none [m]."""
+"""A rectangle of sand in the plane under the heights: its lowest and highest corner, and the lower
+edge of its walls over the plane, 0 for none [m]."""
 
 _HAIR = 0.02  # distance of hidden vertices under rectangles [cells]
 _ENDS = 5.0  # nodes at the edge of a window over which tracks fade out
@@ -121,8 +119,7 @@ def line_around(canvas, number, begin, end):
 def add_rectangles(canvas, blocks, side, u, v, width):
     """Add rectangles for the part of a plane that the skin does not show.
 
-    `blocks` says which blocks, `side` of them along a side of the window from (u, v) on and each of
-    that width [m], are drawn with the skin.
+    `blocks` says which blocks, `side` x `side` of that width [m] from (u, v), the skin draws.
     """
     canvas.count = 0
     for a in range(side):

@@ -25,8 +25,7 @@ from mjgranular.shape.select import body_name, last_dof
 class Binding:
     """Arrays that the kernels work on, for one `MjData`. Nothing is allocated after this.
 
-    The table holds addresses in the `MjData`, which it does not keep alive: do not use a binding
-    after its data is gone.
+    It is valid as long as the `MjData`, to whose arrays its table has addresses.
     """
 
     table: np.ndarray
@@ -98,8 +97,7 @@ def bind(
 _sands_of_model: list[Callable[[mujoco.MjModel], Iterable[tuple[str, set[int]]]]] = []
 
 ask_about_models = _sands_of_model.append
-"""Register a function that returns the sands that are a part of a model: the name of each, and the
-ids of the bodies that it acts on."""
+"""Register a function that returns a model's own sands: names, and ids of the bodies acted on."""
 
 
 def find_sand_of_the_model(model: mujoco.MjModel, elements: np.ndarray) -> str:

@@ -32,11 +32,9 @@ def save_snapshot(table):
 
 
 class Snapshot:
-    """The snapshot of one simulation.
+    """The snapshot of one simulation: its `state` as of `mj_getState`, and a `record` of addresses.
 
-    Attributes:
-        record: addresses of the model, the data and the stored state.
-        state: as of `mj_getState`; the time, its first number, is NaN until a state is stored.
+    The time, the first number of the state, is NaN until a state is stored.
     """
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:

@@ -106,8 +106,7 @@ class PreparedSand(ChosenSand):
 def prepare(model: mujoco.MjModel, spec: SandSpec, *, within: bool = False) -> PreparedSand:
     """Prepare a sand for a model, in which contacts of the sand's own geoms are switched off.
 
-    `within` is whether the sand acts inside `mj_step`. Errors list the names that exist, or say why
-    law or scheme cannot take the model.
+    `within` is whether the sand acts inside `mj_step`.
     """
     scheme = get_scheme(spec.scheme)
     scheme.check(model)

@@ -19,7 +19,6 @@ _SHOWN = 3  # bodies in a report's `repr`
 # moves by the width of its elements. Chosen, not measured.
 _SLOW, _TURN = 0.01, 0.2
 
-
 _VECTORS = ("point", "velocity", "force")
 _NUMBERS = ("depth", "immersed_length", "power", "froude", "width")
 ELEMENT_DTYPE = np.dtype(
@@ -40,8 +39,7 @@ ELEMENT_DTYPE = np.dtype(
 - `power`: power of that force on the body [W]. Under the implicit scheme it is that at the end of
   the step, where the force is: never positive in sum over a body, and up to a hundredth of the
   greatest for one element.
-- `froude`: Froude number |v_E| / sqrt(g w) with the geom's width w, a rod's diameter; 0 without
-  gravity.
+- `froude`: Froude number |v_E| / sqrt(g w) with the geom's width w; 0 without gravity.
 - `width`: width of the geom [m].
 """
 
@@ -116,8 +114,7 @@ class Report:
         names: names of geoms and bodies, by their ids.
         medium: name of the medium.
         law: name of the law.
-        solver: counters of the implicit scheme; None with the explicit one, or before the first
-            step.
+        solver: counters of the implicit scheme; None with the explicit one, or before a first step.
     """
 
     time: float

@@ -251,8 +251,7 @@ class Sand:
         """Return the memory of a simulation's sand as an array, for `restore_memory`.
 
         MuJoCo does not copy it: after `mj_copyData`, `mj_setState` or `copy.copy` call
-        `sand.restore_memory(to, sand.save_memory(origin))` too. (Sand inside `mj_step` has its
-        heights in MuJoCo's state.)
+        `sand.restore_memory(to, sand.save_memory(origin))` too. (Sand in `mj_step` needs none.)
 
         Raises:
             InputError: the sand has no memory.
@@ -268,8 +267,7 @@ class Sand:
             saved: array from `save_memory`, of a sand with the same memory.
 
         Raises:
-            InputError: the sand has no memory; or the array has a wrong size or numbers that are
-                not finite, and then nothing is changed.
+            InputError: the sand has no memory, or the array does not fit it: nothing is changed.
         """
         self._remembering()
         state = self._bind(data).state
@@ -363,8 +361,7 @@ class Sand:
         `RangeWarning` if a robot is completely buried, deeper than its largest geom is wide.
 
         Raises:
-            InputError: something was changed, which the message names; or the scheme cannot step
-                with the options.
+            InputError: something was changed, or the scheme cannot step with the options.
         """
         geoms = geoms_in_sand(self._model, self._spec)
         self._original.check(self._model, geoms)

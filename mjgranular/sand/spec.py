@@ -19,8 +19,7 @@ class SandSpec:
     """A sand: its material, its surface, and what meets it.
 
     `Sand`, `add_sand` and `mjgranular.envs.on_sand` take one, or its fields as keyword arguments,
-    which replace those of a spec given in addition. It does not depend on a model: whether it fits
-    one is checked when the two meet.
+    which replace those of a spec given in addition. Whether it fits a model is checked then.
 
     Attributes:
         medium: a medium, its name, or a YAML file (`medium.file`); None for one that has constants
@@ -31,8 +30,7 @@ class SandSpec:
         surface: where it is, also as a string ("plane height=0.1"); None for the plane z = 0.
         scheme: the time stepping scheme: a scheme or its name, followed by options. "auto" takes
             `Implicit`, but `Explicit` for fine time steps if the law allows (`scheme.choice`).
-        bodies: names or numbers of the bodies that meet the sand, with all their collision geoms;
-            or "all".
+        bodies: names or numbers of bodies that meet the sand, with their collision geoms, or "all".
         geoms: names or numbers of the geoms that meet the sand; or "all".
         groups: geom groups whose collision geoms meet the sand, those of bodies that can move; of a
             group in which none collides, all. The union of `bodies`, `geoms` and `groups` meets the

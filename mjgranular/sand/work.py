@@ -19,9 +19,8 @@ def add_work(address, velocity, totals, h):
     `totals` has a row for each of work, greatest force [N] and greatest depth [m].
 
     A constant force F turns the velocity v into v' and does the work h F (v + v') / 2, exactly the
-    change of kinetic energy, for any step size. The power at the start or at the end of the step
-    alone does not give that. `velocity` is the address of `qvel` at the end of the step; all else
-    is from its start.
+    change of kinetic energy, for any step size. `velocity` is the address of `qvel` at the end of
+    the step; all else is from its start.
     """
     table = table_at(address)
     bodies, contacts = bodies_of(table), contacts_of(table)

@@ -31,12 +31,9 @@ FACET_DTYPE = np.dtype(
 )
 
 FINEST = 200
-"""Largest resolution. Chosen: a sphere then has 51 000 facets, far more than accuracy needs, and
-takes 0.9 GB while it is divided; both grow with the square of the resolution."""
+"""Largest resolution; chosen: a sphere then has 51 000 facets and takes 0.9 GB to divide."""
 
-# Surfaces closer than this share of a geom's size coincide. Chosen: far above rounding, far below
-# anything visible.
-_TOUCH = 1e-6
+_TOUCH = 1e-6  # share of a geom's size within which surfaces coincide; chosen: far above rounding
 
 _FLAT = 1e-9  # change of a normal that is rounding; chosen
 
@@ -150,8 +147,7 @@ def hidden_skin(
     to its own by hinge or ball joints, parent or child, it hides what is inside it at `qpos0`, the
     pose of `data`, and no farther from the joint than half its width: that stays there, roughly, as
     the joint turns. A slide joint hides nothing. Where two surfaces coincide and face the same way,
-    that of the lower id is kept, or that of no mesh; if they face each other, none. A mesh hides
-    only itself, where it is there twice.
+    that of the lower id is kept, or that of no mesh; else none. A mesh hides only its copy.
     """
     hidden = np.zeros(len(skin.points), bool)
     is_mesh = int(model.geom_type[geom]) == _GEOM.mjGEOM_MESH

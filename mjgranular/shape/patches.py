@@ -3,12 +3,10 @@
 Meshes of machines have tens of thousands of triangles, most of them far smaller than the sand can
 resolve. Patches are found top-down: all triangles are one patch, and the patches with the largest
 variation of position and direction are split in two until they are fine enough or as many as
-allowed. So flat parts form large patches, round parts small ones, and the two sides of a plate are
-split first.
+allowed. So flat parts form large patches, and the two sides of a plate are split first.
 
 A patch keeps the sum of the area vectors (area times outward normal) of its triangles, so a closed
-surface stays closed; the centroid and the second moments of their area; and, by least squares, the
-variation of their normals over it.
+surface stays closed; centroid and second moments of their area; and the slope of their normals.
 """
 
 import math
@@ -110,8 +108,7 @@ def flatness(
     """Return the fraction of a mesh's projection in each facet's direction that is one flat face.
 
     That is the area of what is nearly in the facet's plane, relative to the area of the whole mesh
-    projected in its direction, beyond that of a cylinder: 1 for a face of a box, 0 for a cylinder
-    and a ball.
+    projected in its direction, beyond that of a cylinder: 1 for a face of a box, 0 for a ball.
     """
     # A sample is sufficient for a ratio of areas.
     some = slice(None, None, -(-len(points) // _ENOUGH) or 1)

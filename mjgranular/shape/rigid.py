@@ -1,7 +1,6 @@
 """A rigid body as the sand meets it: its faces, how wide they are, and what shelters them.
 
-Both depend on all geoms that are welded together, not on one of them, so a rigid body that is
-divided into more geoms stays the same body.
+Both depend on all geoms that are welded together: dividing a body into more of them has no effect.
 """
 
 import copy

@@ -30,8 +30,7 @@ _CYLINDER = int(mujoco.mjtGeom.mjGEOM_CYLINDER)
 def rods_from_model(model: mujoco.MjModel, geoms: Sequence[int]) -> np.ndarray:
     """Make one rod for each geom: a capsule or cylinder. Shape (n,), dtype `ROD_DTYPE`.
 
-    A capsule's rod extends from pole to pole, so a capsule of total length L is the paper's link of
-    length L.
+    A capsule's rod extends from pole to pole, as the length of the paper's link does.
     """
     rods = np.zeros(len(geoms), ROD_DTYPE)
     rods["geom"] = geoms

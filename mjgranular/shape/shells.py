@@ -73,8 +73,7 @@ def _shells(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, int]:
     """Return the shell of each face, as of `mesh_faces`, and the number of open edges.
 
     Faces that share an edge are of one shell. An edge is open if not as many faces run along it one
-    way as the other. Vertices at the same position, to rounding, count as one: MuJoCo splits
-    vertices where normals or textures differ.
+    way as the other. Vertices that MuJoCo has split, at the same position, count as one.
     """
     places = np.round(vertices / (_TOUCH * np.ptp(vertices, axis=0).max()))
     _, merged = np.unique(places, axis=0, return_inverse=True)

@@ -10,12 +10,10 @@ from mjgranular._util import checks
 from mjgranular.errors import InputError
 
 SMALLEST, LARGEST = 1e-9, 1e9
-"""Limits of half extents of geoms [m]. Chosen: beyond any geom in sand or made of it, and far
-within numbers that can be squared twice."""
+"""Limits of half extents of geoms [m]; chosen: far within numbers that can be squared twice."""
 
 MOST_ELEMENTS = 1_000_000
-"""Maximum number in one sand. Chosen: a step then takes tens of milliseconds, and their tables 1
-GB."""
+"""Maximum number in one sand; chosen: a step then takes tens of milliseconds, tables 1 GB."""
 
 PART_FIELDS = (
     ("geom", np.int64),
@@ -140,14 +138,12 @@ def check_count(count: int) -> None:
 
 
 RESOLUTION = 12
-"""Rings from pole to pole of a round geom; other parts of a surface in a measured proportion. It is
-the smallest with which the total force on every tested primitive is within 2 % of that on a fine
-mesh (tests/physics/test_facets.py, docs/shapes.md)."""
+"""Rings from pole to pole of a round geom: the fewest with which the total force on every tested
+primitive is within 2 % of that on a fine mesh (tests/physics/test_facets.py, docs/shapes.md)."""
 
 FACETS = 4000
 """Approximate default number of facets of all geoms together. Chosen: Gymnasium's robots have fewer
-at `RESOLUTION`, and with this number a humanoid of forty meshes takes about three times as long as
-without sand."""
+at `RESOLUTION`, and a humanoid of forty meshes takes about three times as long as without sand."""
 
 _ALIKE = 1.02  # sizes that differ by less count as equal; chosen
 _LEAST = 4  # a sphere of 24 facets; coarser ones are not spheres
@@ -157,9 +153,8 @@ _OF_A_MESH, _OF_OTHERS = 2.0, 4 / 3  # maximum number of facets, over the square
 def resolutions(model: mujoco.MjModel, geoms: Sequence[int]) -> list[int]:
     """Return a resolution for each geom, so that there are about `FACETS` facets or fewer.
 
-    A robot may have forty geoms, most of them small. Beyond the facets that a step has time for,
-    geoms share them by their surface area: facets become similar in size, none finer than the
-    measured default.
+    Beyond these, geoms share them by their surface area: facets become similar in size, none finer
+    than with `RESOLUTION`.
     """
     meshes = model.geom_type[list(geoms)] == int(mujoco.mjtGeom.mjGEOM_MESH)
     weights = np.where(meshes, _OF_A_MESH, _OF_OTHERS)

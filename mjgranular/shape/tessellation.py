@@ -17,8 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 Skin = Callable[[np.ndarray, np.ndarray], np.ndarray]
-"""Maps parameters u, v in [0, 1], each of shape (n, m), to points [m], shape (n, m, 3). du x dv
-points outward."""
+"""Maps u, v in [0, 1], each (n, m), to points [m], shape (n, m, 3); du x dv points outward."""
 
 _FINE = 8  # cells per patch along each parameter; chosen, not measured
 # An ellipsoid is divided between equal shares of a stretched sphere's surface (0) and equal shares
@@ -169,8 +168,7 @@ def ellipsoid(radii: tuple[float, float, float], resolution: int) -> Cells:
 def tube(radius: float, half: float, rows: int, around: int) -> Cells:
     """Return the side of a cylinder about z, with patches laid like bricks.
 
-    All rows have the same normals; rotated against each other they sample twice as many. An odd
-    number of rows is symmetric under reflection.
+    So they sample twice as many normals. An odd number of rows is symmetric under reflection.
     """
     skin = _revolved(lambda u: (radius, half * (1 - 2 * u)))
     return rings(skin, [around] * rows, [0.5 * (row % 2) for row in range(rows)])
@@ -212,8 +210,7 @@ def capsule(radius: float, half: float, resolution: int) -> Cells:
 def box(halves: tuple[float, float, float], resolution: int) -> Cells:
     """Return a box; a third of `resolution` patches along its longest edge, others in proportion.
 
-    A flat patch is exact, fully or partly immersed, as long as all of it moves alike: rotation
-    needs several.
+    A flat patch, fully or partly immersed, is exact unless it turns: rotation needs several.
     """
     longest = max(halves)
     # The small number prevents rounding from adding a patch to a third of a multiple of three.

@@ -126,13 +126,11 @@ class Plane(Surface):
 
     Attributes:
         height: world z of the surface above the world's origin [m].
-        slope: angle from the horizontal [rad], below pi/2. Gravity is that of the model and does
-            not rotate with it.
+        slope: angle from the horizontal [rad], below pi/2; gravity does not rotate with it.
         uphill: direction of steepest ascent, as an angle from the x axis about z [rad].
 
     Raises:
-        InputError: a value that is not finite, a slope outside (-pi/2, pi/2), or a direction of
-            more than one turn.
+        InputError: a value that is not finite, a slope or a direction outside its range.
     """
 
     probe: ClassVar[Any] = plane_probe
@@ -217,9 +215,8 @@ class Bed(Surface):
     """The sand in a box geom: its upper face (+z of the geom) is the surface.
 
     Beside and under the box there is no sand. Its lower face is not a floor: put an ordinary geom
-    there (a plane, or another box), which bodies meet through MuJoCo's own contacts. The box's own
-    contacts are disabled in the model when the sand is bound; an explicit contact pair, which
-    cannot be disabled, is an error.
+    there (a plane, or another box), which bodies meet through MuJoCo's own contacts. Contacts of
+    the box are disabled; an explicit contact pair, which cannot be disabled, is an error.
 
     Attributes:
         geom: name of the box geom; it must be fixed to the world.
@@ -302,8 +299,7 @@ def height_field_probe(field, point):
 class HeightField(Surface):
     """The surface of an hfield geom, bilinear between its data; outside it there is no sand.
 
-    The data may change while the simulation runs. The geom's own contacts are disabled in the model
-    when the sand is bound.
+    The data may change while the simulation runs. The geom's own contacts are disabled.
 
     Attributes:
         geom: name of the hfield geom; it must be fixed to the world.

@@ -1,7 +1,6 @@
 """Sand in thousands of worlds at once with MuJoCo Warp, on GPUs and CPUs.
 
-Modules with kernels do without `from __future__ import annotations`: Warp reads the types of local
-structs in place.
+Modules with kernels do without `from __future__ import annotations`: Warp reads types in place.
 """
 
 from mjgranular._util.checks import require

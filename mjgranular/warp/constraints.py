@@ -2,8 +2,7 @@
 
 MuJoCo's integrator `discrete` scales the regularization D of a constraint by the ratio of its
 metric to the inertia matrix. In MuJoCo Warp that metric contains the sand's damping, on the CPU it
-does not. Without this correction, joint limits of a robot lying in sand would be about a thousand
-times too stiff.
+does not: uncorrected, joint limits of a robot in sand would be about a thousand times too stiff.
 """
 
 # Kernels annotate arrays in Warp's language, which Python type checkers do not understand.

@@ -438,9 +438,8 @@ def stop_creep(
 ):
     """Stop robots that only creep, and store the creep velocity; one thread per world and robot.
 
-    The forces found nearly balance the load on the robot, so it could as well stand still. A robot
-    creeps if it is slower than MuJoCo's sleep tolerance and gains much less energy in the step than
-    the sand dissipates.
+    A robot creeps if it is slower than MuJoCo's sleep tolerance and gains much less energy than the
+    sand dissipates: the forces nearly balance the load.
     """
     world, r = wp.tid()
     h = timestep[world % timestep.shape[0]]

@@ -13,8 +13,7 @@ from mjgranular.surface import Bed, HeightField, Plane, Surface
 from mjgranular.warp.motions import SLOT_DTYPE
 
 _HAIR = 1e-5
-"""Distance by which `coupled` moves an inertial frame, relative to the body's size. MuJoCo treats
-offsets below 1e-6 m as zero. Chosen."""
+"""Shift of inertial frames, relative to the body's size; chosen: MuJoCo takes 1e-6 m as zero."""
 
 
 def slots_of(model: mujoco.MjModel, elements: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -111,9 +110,8 @@ def check_model(model: mujoco.MjModel, chain: np.ndarray, m: Any) -> None:
 def coupled(spec: mujoco.MjSpec) -> mujoco.MjSpec:
     """Copy a model so that sand can couple the degrees of freedom of single bodies.
 
-    A body on its own in the world whose inertial frame is its body frame, such as a ball, is
-    "simple" to MuJoCo: its inertia is stored as a diagonal. The copy has those frames moved by 1e-5
-    of the body's size.
+    A body on its own in the world whose inertial frame is its body frame, such as a ball, has a
+    diagonal inertia in MuJoCo. The copy has those frames moved by 1e-5 of the body's size.
 
     Raises:
         InputError: `spec` is not an `MjSpec`.

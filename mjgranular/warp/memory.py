@@ -24,8 +24,7 @@ from mjgranular.warp.translate import (
 class WarpMemory:
     """Heights of the sand in each of `count` worlds, with a `record` of their surface.
 
-    Surface points of the bodies are in `footprint`. The attribute `surface` is the struct of the
-    surface with its heights, as kernels read it.
+    `footprint` has surface points of the bodies; kernels read the struct `surface` with heights.
     """
 
     def __init__(

@@ -33,9 +33,8 @@ Damping = struct(
 )
 """A symmetric 6 x 6 matrix for (angular, linear), by blocks; `mixed` is (angular, linear).
 
-Its reference point is the one with the greatest resistance, at `arm` from the center of the body's
-tree. That point moves least; about any other, the power of a body turning about a standing foot
-would be a small difference of large numbers."""
+Its reference point, at `arm` from the center of the body's tree, has the greatest resistance and so
+moves least; about others the power about a standing foot is a difference of large numbers."""
 
 WarpMotion = struct_of(motion.Motion)
 
@@ -116,11 +115,7 @@ def wrench_of(d: Damping, motion: WarpMotion):
 
 
 def resistance_of(kernel: LawKernel) -> Any:
-    """Make the resistance function of an immersed element.
-
-    It returns C for a sample, the law, g, the velocity v, the softness eps and the factors on
-    static resistance and on drag.
-    """
+    """Make the function that returns C of an immersed element."""
     respond = translated(kernel.respond)
     if kernel.multiplier is TWO_LIMITS:
         return _two_limits(respond)

@@ -30,8 +30,7 @@ from mjgranular.warp.translate import (
 )
 
 SOFTNESS = 1e-6
-"""Speed over which rest is softened [m/s]. Chosen: bodies at rest move at about this speed; single
-precision resolves a tenth of it."""
+"""Speed over which rest is softened [m/s]; chosen: single precision resolves a tenth of it."""
 
 CORRECTIONS = 3
 """Corrections of the predicted velocity per step. Chosen: docs/warp.md shows the effect of each."""
@@ -64,11 +63,9 @@ class WarpSand:
         strength: factor on static resistance in each world, shape (nworld,), assignable.
         density: factor on drag and inertia of sand in each world, shape (nworld,), assignable.
         height: how much each world's surface is raised along its normal [m], (nworld,), assignable.
-        force: force on each body in the last step [N], world frame, shape (nworld, bodies) of
-            `wp.vec3`.
+        force: on each body in the last step [N], world frame, `wp.vec3`, shape (nworld, bodies).
         moment: moment on each body about its center of mass [N m].
-        depth: depth of each body's deepest element below the surface [m], negative above, shape
-            (nworld, bodies).
+        depth: of each body's deepest element [m], negative above the sand, shape (nworld, bodies).
         speed: greatest speed of each body's elements in the sand as the step begins [m/s].
         power: power of the sand on each body [W], not positive except for rounding.
 
@@ -118,16 +115,14 @@ class WarpSand:
         """Attach the sand to a model and data of MuJoCo Warp.
 
         From then on `mujoco_warp.step(m, d)` and its parts include the sand. Capture CUDA graphs
-        after this call. Callbacks `control` and `sensor` already in `m` are called first; set yours
-        before this call.
+        after this call, and set callbacks `control` and `sensor` before: they are called first.
 
         Args:
             m: `mujoco_warp.Model` of this sand's model.
             d: `mujoco_warp.Data`, of any number of worlds.
 
         Raises:
-            InputError: the sand is already attached, the model is another, or its integrator or a
-                flag would omit the sand.
+            InputError: it is attached already, or the model is another, or would omit the sand.
         """
         if self._attached_to is not None:
             raise InputError(

@@ -5,8 +5,7 @@ processed at once. Each surface point requests a height at its nodes, and the lo
 (`press`). Each node beside a track takes its share of what the nearest body displaced (`heap`).
 Sand flows in squares of four nodes, every other one along both axes: no two share one (`flow`).
 
-`LANES` threads per world process its points or nodes, in any order. A world with nothing to do
-costs almost nothing.
+`LANES` threads per world process its points or nodes, in any order.
 """
 
 # Kernels are written in Warp's language, which Python type checkers do not understand.
