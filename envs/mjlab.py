@@ -81,7 +81,7 @@ def on_sand(
 
 def sand_of(env: ManagerBasedRlEnv) -> WarpSand:
     """Return the sand of an environment: forces, depths and factors of all worlds."""
-    return env.cfg.sim.mujoco.made
+    return env.unwrapped.sim.sand
 
 
 def draw_sand(env: ManagerBasedRlEnv, env_ids: torch.Tensor | None, **ranges: Any) -> None:
@@ -94,8 +94,11 @@ def draw_sand(env: ManagerBasedRlEnv, env_ids: torch.Tensor | None, **ranges: An
 
 def _attach(env: ManagerBasedRlEnv, env_ids: torch.Tensor | None) -> None:
     """Attach the sand, and have contact sensors read it."""
-    sand, model, data = sand_of(env), env.sim.wp_model, env.sim.wp_data
-    sand.attach(model, data)
+    sand = vars(env.cfg.sim.mujoco).pop("made", None)  # other environments may share this cfg
+    if sand is None:
+        raise InputError("cfg.sim.mujoco was replaced after on_sand: use on_sand after that")
+    env.sim.sand, model = sand, env.sim.wp_model
+    sand.attach(model, env.sim.wp_data)
     rows, slots = _contact_sensors(env.sim.mj_model, sand)
     device = sand.force.device
     there = wp.array(rows, dtype=int, device=device), wp.array(slots, dtype=int, device=device)

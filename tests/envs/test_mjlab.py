@@ -15,6 +15,7 @@ pytest.importorskip("prettytable", reason="the extra mjlab is not installed")
 ROOT = Path(__file__).resolve().parents[2]
 
 CODE = """
+import copy
 import sys
 import types
 
@@ -25,6 +26,7 @@ import torch
 import warp as wp
 from mjlab.envs import ManagerBasedRlEnv
 from mjlab.sensor import ContactMatch, ContactSensorCfg
+from mjlab.sim import MujocoCfg
 from mjlab.tasks.registry import load_env_cfg
 
 from mjgranular import InputError
@@ -70,6 +72,16 @@ assert (env.scene["itself"].data.found == 0).all()
 env.reset(env_ids=torch.tensor([1]))
 assert list(sand.strength.numpy() == strength) == [True, False, True]
 
+# Another environment of this configuration, or of a copy, has its own sand.
+other = ManagerBasedRlEnv(cfg, device="cpu")
+assert sand_of(env) is sand and sand_of(other) is not sand
+cfg = copy.deepcopy(cfg)
+cfg.sim.mujoco = MujocoCfg()
+try:
+    ManagerBasedRlEnv(cfg, device="cpu")
+except InputError as error:
+    print(error)
+
 for task, ranges in (("Rough", {}), ("Flat", {"strength": (2.0, 1.0)})):
     try:
         on_sand(load_env_cfg(f"Mjlab-Velocity-{task}-Unitree-Go1"), **ranges)
@@ -86,6 +98,7 @@ def test_a_robot_of_mjlab_stands_on_sand(mjlab):
         [sys.executable, "-c", CODE], capture_output=True, text=True, env=environment, timeout=900
     )
     assert done.returncode == 0, done.stderr[-2000:]
-    rough, order = done.stdout.strip().splitlines()[-2:]
+    replaced, rough, order = done.stdout.strip().splitlines()[-3:]
+    assert "use on_sand after that" in replaced
     assert "terrain_type='plane', not 'generator'" in rough
     assert "strength" in order
