@@ -18,6 +18,7 @@ CODE = """
 import copy
 import sys
 import types
+import warnings
 
 sys.modules["wandb"] = types.ModuleType("wandb")  # only logs need it
 import go1_on_sand
@@ -30,6 +31,7 @@ from mjlab.sim import MujocoCfg
 from mjlab.tasks.registry import load_env_cfg
 
 from mjgranular import InputError
+from mjgranular.errors import UnfeltWarning
 from mjgranular.envs.mjlab import on_sand, sand_of
 
 wp.config.log_level = wp.LOG_ERROR
@@ -42,9 +44,13 @@ robot = ContactMatch(mode="subtree", pattern="trunk", entity="robot")
 fields = ("found", "force", "dist", "normal", "tangent")
 cfg.scene.sensors += (
     ContactSensorCfg(name="all", primary=robot, fields=fields, global_frame=True),
+    ContactSensorCfg(name="sum", primary=robot, fields=(*fields, "pos"), reduce="netforce"),
     ContactSensorCfg(name="itself", primary=robot, secondary=robot, fields=("found", "force")),
 )
-env = ManagerBasedRlEnv(cfg, device="cpu")
+with warnings.catch_warnings(record=True) as caught:
+    env = ManagerBasedRlEnv(cfg, device="cpu")
+(unfelt,) = [str(w.message) for w in caught if w.category is UnfeltWarning]
+assert unfelt.endswith("(sum_trunk_pos)"), unfelt
 sand = sand_of(env)
 env.reset()
 strength = sand.strength.numpy().copy()
@@ -66,6 +72,9 @@ assert (in_air > 0).any() and (read.current_air_time == 0).all()
 read = env.scene["all"].data
 assert torch.allclose(read.force[:, 0], -force, atol=1e-3)
 assert torch.allclose(read.dist[:, 0], -torch.tensor(sand.depth.numpy()).max(1).values)
+total = env.scene["sum"].data  # in the world frame
+assert torch.allclose(total.force[:, 0], -force, atol=1e-3) and (total.pos == 0).all()
+assert (total.normal[:, 0, 0] == 1).all() and (total.tangent[:, 0, 1] == 1).all()
 assert (env.scene["itself"].data.found == 0).all()
 
 # A reset draws the sand of that world alone.
