@@ -71,6 +71,11 @@ class WarpMemory:
         self._press = update.press_kernel(struct, level)
         self._flow = update.flow_kernel(struct, level)
 
+    def restart(self, d: Any) -> None:
+        """Clear the sand of worlds whose time decreased."""
+        over_nodes = (self._size[0], update.LANES)
+        self._launch(update.restart, over_nodes, d.time, self._plain, self._work)
+
     def update(self, m: Any, d: Any, height: wp.array, up: wp.vec3) -> None:
         """Press sand down under the bodies of each world, deposit rims, and let it flow.
 

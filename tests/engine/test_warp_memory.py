@@ -182,6 +182,16 @@ def test_a_world_that_begins_anew_has_untouched_sand(warp):
     worlds = Worlds(warp)
     worlds.step(100)
     before = worlds.heights(0)
+    # Forces are those of untouched sand at once, which a first observation reads.
+    fresh, pose = Worlds(warp, count=1), worlds.d.qpos.numpy()[1]
+    pose[[0, 7]] += 0.05  # half beside their prints
+    for each, world in ((worlds, 1), (fresh, 0)):
+        each.put(world, qpos=pose, qvel=worlds.data.qvel, time=0.0)
+        mjw.forward(each.m, each.d)
+    for name in ("force", "depth"):
+        found, right = (getattr(each.sand, name).numpy() for each in (worlds, fresh))
+        np.testing.assert_allclose(found[1], right[0], rtol=1e-3, atol=1e-4)
+    worlds.step(1)
     worlds.put(1, qpos=mujoco.MjData(worlds.model).qpos, qvel=worlds.data.qvel, time=0.0)
     worlds.step(1)
     assert not worlds.heights(1).any()
