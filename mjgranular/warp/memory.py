@@ -56,7 +56,8 @@ class WarpMemory:
         self._grid = grid
         self._work = work = update.Work()
         work.wanted = wp.full(nodes, update.UNWANTED, dtype=wp.int64, device=device)
-        work.foot, work.places = zeros(nodes, int), zeros(feet, wp.vec3)
+        work.foot = wp.full(nodes, update.NOTHING, dtype=int, device=device)
+        work.places = zeros(feet, wp.vec3)
         work.waiting, work.count, work.volumes = zeros(feet), zeros(feet, int), zeros((count, 3))
         work.last, work.since = zeros((count,)), zeros((count, 2))
         work.task, work.rate = zeros((count,), int), zeros((count,))

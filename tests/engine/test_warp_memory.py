@@ -201,6 +201,17 @@ def test_a_world_that_begins_anew_has_untouched_sand(warp):
     np.testing.assert_allclose(worlds.d.qpos.numpy()[1], worlds.d.qpos.numpy()[0], atol=1e-3)
 
 
+def test_a_first_episode_in_the_sand_is_like_the_next(warp):
+    worlds, found = Worlds(warp, count=1), []
+    for _ in range(2):
+        start = {"qpos": worlds.raised(-0.03), "qvel": worlds.data.qvel}
+        worlds.put(0, **start, qacc_warmstart=0.0, time=0.0)
+        worlds.step(20)
+        found.append((worlds.heights(), worlds.d.qpos.numpy()))
+    np.testing.assert_array_equal(found[0][0], found[1][0])
+    np.testing.assert_array_equal(found[0][1], found[1][1])
+
+
 def test_forward_changes_nothing(warp):
     disturbed, alone = Worlds(warp, count=1), Worlds(warp, count=1)
     for _ in range(40):
