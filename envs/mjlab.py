@@ -16,13 +16,14 @@ from mjlab.managers.event_manager import EventTermCfg
 from mjlab.sim import MujocoCfg
 
 from mjgranular.envs.ranges import SandRanges
-from mjgranular.errors import InputError, UnfeltWarning
+from mjgranular.errors import InputError, UnfeltWarning, listed, warn_user
+from mjgranular.shape.sizes import name_of
 from mjgranular.warp import WarpSand
 
 TERRAIN = "terrain"  # mjlab's name of the ground's body, and of its geom if that is a plane
 
 # What a contact sensor may contain, in the order of `mujoco.mjtConDataField`, and its numbers.
-_FOUND, _FORCE, _DIST, _NORMAL, _TANGENT = 0, 1, 3, 5, 6
+_FOUND, _FORCE, _TORQUE, _DIST, _POS, _NORMAL = range(6)
 _SIZES = (1, 3, 3, 1, 3, 3, 3, 3, 3)
 _NETFORCE = 3  # in `sensor_intprm`: the sum of all contacts, in the world frame
 
@@ -52,10 +53,12 @@ def on_sand(
     """Put the robots of a task of mjlab on sand, in place of its flat ground.
 
     Contact sensors between the robot and the ground, or anything, read the sand: `found`, `force`,
-    `dist`, `normal` and `tangent`, of the whole body of a geom. Friction of geoms has no effect.
+    `dist`, `normal` and `tangent`, of the whole body of a geom, summed over a subtree, in place of
+    other contacts of their first slot except in sums (`netforce`). A warning names those that
+    cannot. Friction of geoms has no effect.
 
     Args:
-        cfg: configuration of the task; it is changed.
+        cfg: configuration of the task, otherwise complete; it is changed.
         strength: factor on static resistance, (low, high), drawn for each episode.
         density: factor on rate-dependent resistance, (low, high), drawn for each episode.
         **sand: arguments of `WarpSand`, such as `medium`, `geoms` and `resolution`.
@@ -81,7 +84,7 @@ def on_sand(
 
 def sand_of(env: ManagerBasedRlEnv) -> WarpSand:
     """Return the sand of an environment: forces, depths and factors of all worlds."""
-    return env.cfg.sim.mujoco.made
+    return env.unwrapped.sim.sand
 
 
 def draw_sand(env: ManagerBasedRlEnv, env_ids: torch.Tensor | None, **ranges: Any) -> None:
@@ -94,8 +97,11 @@ def draw_sand(env: ManagerBasedRlEnv, env_ids: torch.Tensor | None, **ranges: An
 
 def _attach(env: ManagerBasedRlEnv, env_ids: torch.Tensor | None) -> None:
     """Attach the sand, and have contact sensors read it."""
-    sand, model, data = sand_of(env), env.sim.wp_model, env.sim.wp_data
-    sand.attach(model, data)
+    sand = vars(env.cfg.sim.mujoco).pop("made", None)  # other environments may share this cfg
+    if sand is None:
+        raise InputError("cfg.sim.mujoco was replaced after on_sand: use on_sand after that")
+    env.sim.sand, model = sand, env.sim.wp_model
+    sand.attach(model, env.sim.wp_data)
     rows, slots = _contact_sensors(env.sim.mj_model, sand)
     device = sand.force.device
     there = wp.array(rows, dtype=int, device=device), wp.array(slots, dtype=int, device=device)
@@ -123,10 +129,13 @@ def _contact_sensors(
     bodies = [model.body(int(name) if name.isdigit() else name).id for name in sand.bodies]
     ground = {(int(kinds.mjOBJ_UNKNOWN), -1), (int(kinds.mjOBJ_GEOM), model.geom(TERRAIN).id)}
     ground |= {(kind, model.body(TERRAIN).id) for kind in (int(kinds.mjOBJ_BODY), whole)}
+    unread = []
     for n in (model.sensor_type == mujoco.mjtSensor.mjSENS_CONTACT).nonzero()[0]:
+        kind, own, first = int(model.sensor_objtype[n]), int(model.sensor_objid[n]), len(slots)
+        if (kind, own) in ground:
+            unread.append(name_of(model, "sensor", n))
         if (int(model.sensor_reftype[n]), int(model.sensor_refid[n])) not in ground:
             continue
-        kind, own, first = int(model.sensor_objtype[n]), int(model.sensor_objid[n]), len(slots)
         own = int(model.geom_bodyid[own]) if kind == int(kinds.mjOBJ_GEOM) else own
         for slot, body in enumerate(bodies):
             while kind == whole and body > own:
@@ -136,8 +145,17 @@ def _contact_sensors(
         address, (content, reduce, _) = int(model.sensor_adr[n]), model.sensor_intprm[n][:3]
         for value, size in enumerate(_SIZES):
             if content & 1 << value:
-                rows.append((address, value, int(reduce == _NETFORCE), first, len(slots)))
+                if value in (_TORQUE, _POS):
+                    unread.append(name_of(model, "sensor", n))
+                else:
+                    rows.append((address, value, int(reduce == _NETFORCE), first, len(slots)))
                 address += size
+    if unread:
+        warn_user(
+            "contact sensors read neither torque nor pos of the sand, and nothing with the ground "
+            f"as primary ({listed(unread)})",
+            UnfeltWarning,
+        )
     return rows, slots
 
 
@@ -150,32 +168,27 @@ def _read_sand(
     sensordata: wp.array2d(dtype=float),
 ):
     """Write the sand's part of a value of a contact sensor, from the ground's side."""
-    world, n = wp.tid()
-    a, value, is_sum = rows[n, 0], rows[n, 1], rows[n, 2] == 1
+    world, row = wp.tid()
+    a, value, is_sum = rows[row, 0], rows[row, 1], rows[row, 2] == 1
     total, deepest = wp.vec3(), float(0.0)
-    for k in range(rows[n, 3], rows[n, 4]):
+    for k in range(rows[row, 3], rows[row, 4]):
         total += force[world, slots[k]]
         deepest = wp.max(deepest, depth[world, slots[k]])
     if wp.length(total) == 0.0:
         return
-    read = wp.vec3()
-    if value == wp.static(_FORCE):
-        # On the ground. A contact's frame has its normal first, here (0, 0, -1), then (1, 0, 0).
-        read = wp.vec3(total[2], -total[0], total[1])
-        if is_sum:
-            read = wp.vec3(sensordata[world, a], sensordata[world, a + 1], sensordata[world, a + 2])
-            read -= total
-    elif value == wp.static(_NORMAL):
-        read = wp.vec3(0.0, 0.0, -1.0)
-    elif value == wp.static(_TANGENT):
-        read = wp.vec3(1.0, 0.0, 0.0)
-    elif value == wp.static(_FOUND):
+    if value == wp.static(_FOUND):
         sensordata[world, a] += 1.0
         return
-    elif value == wp.static(_DIST):
+    if value == wp.static(_DIST):
         sensordata[world, a] = -deepest
         return
-    else:
-        return
+    n, t = wp.vec3(0.0, 0.0, -1.0), wp.vec3(1.0, 0.0, 0.0)  # the frame of a contact
+    if is_sum:
+        n, t = wp.vec3(1.0, 0.0, 0.0), wp.vec3(0.0, 1.0, 0.0)
+    read = wp.where(value == wp.static(_NORMAL), n, t)
+    if value == wp.static(_FORCE):
+        read = -wp.vec3(wp.dot(total, n), wp.dot(total, t), wp.dot(total, wp.cross(n, t)))
     for i in range(3):
+        if value == wp.static(_FORCE) and is_sum:
+            read[i] += sensordata[world, a + i]
         sensordata[world, a + i] = read[i]

@@ -376,12 +376,12 @@ def predict_again(
         weight = inertia[world, tables.row_first[i + 1] - 1]
         product += weight * change * fall
         square += weight * fall * fall
-    beyond = float(0.0)
-    if again:
-        beyond = prolonged_by(product, square)
+    beyond = prolonged_by(product, square)
     for i in range(tables.root_first[r], tables.root_first[r + 1]):
         ended = qvel[world, i] + h * qacc[world, i]
-        state.predicted[world, i] = ended + beyond * (ended - state.found[world, i])
+        state.predicted[world, i] = ended
+        if again:  # else `gap` and `found` are of the last step, or of a world that diverged
+            state.predicted[world, i] += beyond * (ended - state.found[world, i])
         state.found[world, i] = ended
 
 

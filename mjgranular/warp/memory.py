@@ -55,7 +55,8 @@ class WarpMemory:
         self._grid = grid
         self._work = work = update.Work()
         work.wanted = wp.full(nodes, update.UNWANTED, dtype=wp.int64, device=device)
-        work.foot, work.places = zeros(nodes, int), zeros(feet, wp.vec3)
+        work.foot = wp.full(nodes, update.NOTHING, dtype=int, device=device)
+        work.places = zeros(feet, wp.vec3)
         work.waiting, work.count, work.volumes = zeros(feet), zeros(feet, int), zeros((count, 3))
         work.last, work.since = zeros((count,)), zeros((count, 2))
         work.task, work.rate = zeros((count,), int), zeros((count,))
@@ -69,6 +70,11 @@ class WarpMemory:
         level = level_kernel(type(relief.base).probe, relief.is_flat)
         self._press = update.press_kernel(struct, level)
         self._flow = update.flow_kernel(struct, level)
+
+    def restart(self, d: Any) -> None:
+        """Clear the sand of worlds whose time decreased."""
+        over_nodes = (self._size[0], update.LANES)
+        self._launch(update.restart, over_nodes, d.time, self._plain, self._work)
 
     def update(self, m: Any, d: Any, height: wp.array, up: wp.vec3) -> None:
         """Press sand down under the bodies of each world, deposit rims, and let it flow.

@@ -253,6 +253,8 @@ class WarpSand:
         """Compute the damping of this step when MuJoCo Warp calls the control callback."""
         if self._control_before is not None:
             self._control_before(m, d)
+        if self._memory is not None:
+            self._memory.restart(d)
         tables, state, timestep = self._tables, self._state, m.opt.timestep
         wp.copy(state.passive, d.qfrc_passive)
         wp.copy(state.fluid, d.efm_fluid)

@@ -47,7 +47,7 @@ from mjgranular.warp.translate import PlainRelief, translated
 LANES = 256
 """Threads per world. Chosen."""
 
-IDLE, BEGINS, PRESSES, FLOWS = range(4)
+IDLE, PRESSES, FLOWS = range(3)
 """What a world does in a step; one that flows also presses."""
 
 NOTHING, LEFT, BESIDE = -1, -2, -3
@@ -106,13 +106,37 @@ def claim(relief: Any, work: Work, tile: int, row: int, column: int):
 
 
 @wp.kernel(enable_backward=False)
+def restart(time: wp.array(dtype=float), surface: PlainRelief, work: Work):
+    """Clear the sand of a world whose time decreased, before its forces are computed."""
+    world, lane = wp.tid()
+    if time[world] >= work.last[world]:
+        return
+    relief = in_world(surface, world)
+    grid, size, blocks = relief.state, relief.size, relief.blocks
+    for n in range(lane, size * size, LANES):
+        grid.height[world, n // size, n % size] = 0.0
+        grid.tile[world, n // size, n % size] = 0
+        work.foot[world, n // size, n % size] = NOTHING
+    for n in range(lane, blocks * blocks, LANES):
+        grid.sums[world, n // blocks, n % blocks] = 0.0
+    for f in range(lane, work.waiting.shape[1], LANES):
+        work.waiting[world, f] = 0.0
+    if lane == 0:
+        grid.highest[world] = 0.0
+        for n in range(work.volumes.shape[1]):
+            work.volumes[world, n] = 0.0
+        for n in range(work.since.shape[1]):
+            work.since[world, n] = 0.0
+
+
+@wp.kernel(enable_backward=False)
 def begin(
     time: wp.array(dtype=float),
     gravity: wp.array(dtype=wp.vec3),
     surface: PlainRelief,
     work: Work,
 ):
-    """Choose the task of each world by its time: a world whose time decreased has restarted."""
+    """Choose the task of each world by the time that has passed."""
     world = wp.tid()
     highest = surface.state.highest
     now = time[world]
@@ -121,19 +145,9 @@ def begin(
     work.task[world] = IDLE
     for f in range(work.count.shape[1]):
         work.count[world, f] = 0
-    if passed < 0.0:
-        work.task[world] = BEGINS
-        work.since[world, 0] = 0.0
-        work.since[world, 1] = 0.0
-        highest[world] = 0.0
-        for f in range(work.count.shape[1]):
-            work.waiting[world, f] = 0.0
-        for n in range(work.volumes.shape[1]):
-            work.volumes[world, n] = 0.0
-        return
     g = wp.length(gravity[world % gravity.shape[0]])
     passed *= wp.sqrt(g / surface.cell)
-    if passed == 0.0:
+    if passed <= 0.0:
         return
     work.since[world, 0] += passed
     work.since[world, 1] += passed
@@ -244,7 +258,7 @@ def press_kernel(relief_struct: Any, level: Any) -> Any:
 
 @wp.kernel(enable_backward=False)
 def settle(surface: PlainRelief, work: Work):
-    """Press nodes down to the requested heights; clear everything where a world restarts."""
+    """Press nodes down to the requested heights."""
     world, lane = wp.tid()
     if work.task[world] == IDLE:
         return
@@ -254,9 +268,6 @@ def settle(surface: PlainRelief, work: Work):
         row, column = n // size, n % size
         number = work.wanted[world, row, column]
         work.foot[world, row, column] = wp.where(work.foot[world, row, column] >= 0, LEFT, NOTHING)
-        if work.task[world] == BEGINS:
-            grid.height[world, row, column] = 0.0
-            grid.tile[world, row, column] = 0
         if number == _UNWANTED:
             continue
         work.wanted[world, row, column] = _UNWANTED

@@ -385,6 +385,8 @@ def test_no_world_is_lost_deep_in_the_sand(warp):
 @pytest.mark.filterwarnings("ignore::mjgranular.GranularWarning")
 def test_worlds_are_on_their_own(warp):
     """Media, heights, a world that goes bad."""
+    import warp as wp
+
     model = scene(warp)
     sand = warp.WarpSand(
         model, medium="glass_beads", law="rft2d", bodies="box", instead_of=("dunes", "tray")
@@ -402,6 +404,13 @@ def test_worlds_are_on_their_own(warp):
     assert z[0] + 0.005 < z[2] < z[0] + 0.01  # it has fallen less far
     assert abs(z[3] - z[0]) > 1e-4
     assert np.isfinite(z[[0, 2, 3]]).all()
+    # The world that went bad starts over.
+    mjw.reset_data(m, d, reset=wp.array([False, True, False, False], dtype=bool))
+    qpos = d.qpos.numpy()
+    qpos[1, 2] = 0.04
+    d.qpos.assign(qpos)
+    mjw.step(m, d)
+    assert np.isfinite(d.qpos.numpy()).all()
 
 
 @pytest.mark.filterwarnings("ignore::mjgranular.GranularWarning")

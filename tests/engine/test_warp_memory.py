@@ -182,6 +182,16 @@ def test_a_world_that_begins_anew_has_untouched_sand(warp):
     worlds = Worlds(warp)
     worlds.step(100)
     before = worlds.heights(0)
+    # Forces are those of untouched sand at once, which a first observation reads.
+    fresh, pose = Worlds(warp, count=1), worlds.d.qpos.numpy()[1]
+    pose[[0, 7]] += 0.05  # half beside their prints
+    for each, world in ((worlds, 1), (fresh, 0)):
+        each.put(world, qpos=pose, qvel=worlds.data.qvel, time=0.0)
+        mjw.forward(each.m, each.d)
+    for name in ("force", "depth"):
+        found, right = (getattr(each.sand, name).numpy() for each in (worlds, fresh))
+        np.testing.assert_allclose(found[1], right[0], rtol=1e-3, atol=1e-4)
+    worlds.step(1)
     worlds.put(1, qpos=mujoco.MjData(worlds.model).qpos, qvel=worlds.data.qvel, time=0.0)
     worlds.step(1)
     assert not worlds.heights(1).any()
@@ -189,6 +199,17 @@ def test_a_world_that_begins_anew_has_untouched_sand(warp):
     worlds.step(99)
     np.testing.assert_allclose(worlds.heights(1), before, atol=1e-6)
     np.testing.assert_allclose(worlds.d.qpos.numpy()[1], worlds.d.qpos.numpy()[0], atol=1e-3)
+
+
+def test_a_first_episode_in_the_sand_is_like_the_next(warp):
+    worlds, found = Worlds(warp, count=1), []
+    for _ in range(2):
+        start = {"qpos": worlds.raised(-0.03), "qvel": worlds.data.qvel}
+        worlds.put(0, **start, qacc_warmstart=0.0, time=0.0)
+        worlds.step(20)
+        found.append((worlds.heights(), worlds.d.qpos.numpy()))
+    np.testing.assert_array_equal(found[0][0], found[1][0])
+    np.testing.assert_array_equal(found[0][1], found[1][1])
 
 
 def test_forward_changes_nothing(warp):
