@@ -79,7 +79,7 @@ def first_of(robot: str) -> str:
 def test_there_are_three_policies_for_each_of_five_robots_and_some_that_follow_commands():
     robots = sorted(name.partition("-v0/")[0] for name in SHIPPED)
     three = ["ChainSwim", "ChainCrawl", "Hexapod", "Hopper", "Ant"]
-    assert robots == sorted([*3 * three, *3 * ["Go1Velocity"], "Go2Velocity", "G1Velocity"])
+    assert robots == sorted([*3 * three, *3 * ["Go1Velocity"], "Go2Velocity", *2 * ["G1Velocity"]])
 
 
 @pytest.mark.parametrize("robot", ["ChainSwim", "ChainCrawl", "Hexapod", "Hopper", "Ant"])
@@ -153,4 +153,22 @@ def test_a_robot_follows_commands_on_sand_and_on_a_floor(name, ground):
 def test_a_robot_on_two_legs_gets_ahead_without_a_fall():
     policy = load_policy("G1Velocity-v0/ppo-8")
     env = SandEnv(StraightG1(command_x=(0.5, 0.5), push_scale=0.0, history=4))
+    assert 0.2 < walk(policy, env, 250)[0] < 0.6
+
+
+class Settled(StraightG1):
+    """With half a second in which it is to stand, as in training."""
+
+    def _draw_commands(self, random):
+        table = super()._draw_commands(random)
+        table[0, 1:], table[1, 0], table[2:, 0] = 0.0, 25, np.inf
+        return table
+
+
+@pytest.mark.usefixtures("robots")
+def test_the_second_robot_on_two_legs_walks_in_sand_half_as_strong():
+    policy = load_policy("G1Velocity-v0/ppo-9")
+    half = {"strength": (0.5, 0.5)}
+    still = {"command_x": (0.5, 0.5), "command_yaw": (0.0, 0.0), "push_scale": 0.0}
+    env = SandEnv(Settled(randomise=half, history=4, **still))
     assert 0.2 < walk(policy, env, 250)[0] < 0.6
