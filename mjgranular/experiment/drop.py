@@ -99,16 +99,24 @@ class Drop(PlainSand):
 
 @dataclass(frozen=True)
 class BodySummary:
-    """Result of a drop for one body."""
+    """Result of a drop for one body.
 
-    body: str  # its name
-    greatest_depth: float  # [m]; negative if it never met the sand
-    greatest_force: float  # magnitude [N]
-    energy_into_sand: float  # work of the body on the sand [J]
-    # Share of the samples in the sand at which the law was valid; None if there are none, or the
-    # law has no limits.
+    Attributes:
+        body: its name.
+        greatest_depth: [m]; negative if it never met the sand.
+        greatest_force: magnitude [N].
+        energy_into_sand: work of the body on the sand [J].
+        within_validity: share of the samples in the sand at which the law was valid, 0 to 1; None
+            if it never met the sand, or the law has no limits.
+        exceeded: measures of validity whose limits it passed at a sample, with the greatest values.
+    """
+
+    body: str
+    greatest_depth: float
+    greatest_force: float
+    energy_into_sand: float
     within_validity: float | None
-    exceeded: dict[str, float]  # measures of validity whose limits it passed: the greatest values
+    exceeded: dict[str, float]
 
     @classmethod
     def of(cls, reports: Sequence[BodyReport], energy: float, force: float, depth: float) -> Self:
