@@ -3,6 +3,7 @@
 # Kernels are written in Warp's language, which Python type checkers do not understand.
 # pyright: reportInvalidTypeForm=false, reportArgumentType=false, reportCallIssue=false
 # pyright: reportOperatorIssue=false, reportAttributeAccessIssue=false, reportMissingImports=false
+# pyright: reportAssignmentType=false, reportGeneralTypeIssues=false
 
 import warnings
 from dataclasses import dataclass, field

@@ -60,7 +60,7 @@ def contact_sensors(case: Case) -> Iterator[str]:
     for sensor in np.isin(model.sensor_type, kinds).nonzero()[0]:
         first, second = (_moving_bodies(model, *end[sensor]) for end in (objects, others))
         if (first | second) & meets and not (first and second) and objects[sensor] not in ours:
-            names.append(name_of(model, "sensor", sensor) or f"number {sensor}")
+            names.append(name_of(model, "sensor", int(sensor)) or f"number {sensor}")
     if names:
         yield (
             f"MuJoCo's sensors of contacts measure nothing of the sand ({listed(names)}): use the "
