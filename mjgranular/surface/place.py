@@ -54,9 +54,12 @@ def _disable_contacts(model: mujoco.MjModel, geoms: list[int], thing: str) -> No
             if geom in ends:
                 pair = name_of(model, "pair", number) or number
                 first, second = (_name(model, end) for end in ends)
+                other = sum(ends) - geom
+                flags = model.geom_contype[other] or model.geom_conaffinity[other]
                 raise InputError(
                     f"the contact pair {pair!r} makes geoms {first!r} and {second!r} collide, but "
                     f"{_name(model, geom)!r} is {thing}, which bodies sink into: remove that <pair>"
+                    + ("" if flags else f", and name {_name(model, other)!r} in geoms=[...]")
                 )
     model.geom_contype[geoms] = 0
     model.geom_conaffinity[geoms] = 0

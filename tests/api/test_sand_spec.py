@@ -205,6 +205,11 @@ MISTAKES = {
     "all": (xml(), "all", "no geom of the model 'all'"),
     "one that moves": (xml(), "foot", "ground that sand replaces must be fixed to the world"),
     "a pair": (GHOST, "floor", "contact pair 'both' .* 'floor' is ground that sand replaces"),
+    "a pair alone": (
+        GHOST.replace('name="foot"', 'name="foot" contype="0" conaffinity="0"'),
+        "floor",
+        r"remove that <pair>, and name 'foot' in geoms=\[...\]",
+    ),
     "a pair of a bed": (GHOST.replace("plane", "box"), None, "'floor' is a bed"),
     "no name": (xml(), 1.5, "names or numbers, not by 1.5"),
 }
