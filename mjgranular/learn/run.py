@@ -20,13 +20,12 @@ from mjgranular._util.versions import versions
 from mjgranular.errors import (
     GranularError,
     InputError,
-    MissingExtraError,
     OutputError,
     shown,
     warn_user,
 )
 from mjgranular.learn.sands import Sands, changes, is_sands, sands_made
-from mjgranular.learn.settings import Settings
+from mjgranular.learn.settings import Settings, algorithm_class
 
 CHECKPOINTS = "checkpoints"
 TENSORBOARD = "tensorboard"
@@ -146,12 +145,14 @@ def begin_run(path: Path | str, environment: str, settings: Settings, *, seed: i
 
     Raises:
         OutputError: the folder is not empty, or cannot be written to.
+        MissingExtraError: Stable-Baselines3 is not installed; gives the install line.
         GranularError: the environment cannot be made; says why.
     """
     path = Path(path)
     _checked_seed(seed)
     if not is_text(environment):
         raise InputError(f"environment must be a printable name, got {shown(environment)}")
+    algorithm_class(settings.algorithm)  # raises where it is not installed
     sand = sands_made(environment, settings.environment)
     settings = replace(settings, environment=_with_absolute_paths(settings.environment))
     run = Run(path, environment, settings, seed, versions(*PACKAGES), sand, trusted=True)
@@ -204,8 +205,6 @@ def open_run(path: Path, *, trust: bool = False) -> Run:
             raise OutputError(f"{CONFIG}: sand must be a list of tables")
         seed = _checked_seed(content.get("seed"))
         settings = Settings.from_json(content.get("settings"))
-    except MissingExtraError:
-        raise
     except GranularError as error:
         raise OutputError(
             f"{path} holds no training run ({error}); start one with mjgranular train ENV --out "

@@ -11,7 +11,7 @@ from typing import Any, Self
 from mjgranular._util.checks import check_count, check_name, require
 from mjgranular._util.io import fits, place, read_file
 from mjgranular._util.parse import parse_number
-from mjgranular.errors import InputError, UnknownNameError, shown
+from mjgranular.errors import InputError, MissingExtraError, UnknownNameError, shown
 
 ALGORITHMS = ("ppo", "sac", "td3")
 ACTIVATIONS = ("tanh", "relu", "elu")
@@ -221,8 +221,11 @@ def _check_keys(where: str, table: Mapping[str, Any], known: Sequence[str]) -> N
 
 
 def _check_arguments(algorithm: str, arguments: Mapping[str, Any]) -> None:
-    """Check arguments against the algorithm's class, by name and by type."""
-    signature = inspect.signature(algorithm_class(algorithm).__init__).parameters
+    """Check arguments against the algorithm's class, by name and by type, where there is one."""
+    try:
+        signature = inspect.signature(algorithm_class(algorithm).__init__).parameters
+    except MissingExtraError:
+        return  # runs can be listed without it, and no more
     names = [name for name in signature if name not in _NOT_SETTINGS]
     for name, value in arguments.items():
         if name not in names:

@@ -102,13 +102,13 @@ def _warn_of_versions(run: Run) -> None:
 
 def environments_of(run: Run, *, warp: str | None = None) -> Any:
     """Return the environments of a run as a `VecNormalize`."""
-    from gymnasium import spaces
-    from stable_baselines3.common.vec_env import VecNormalize
-
     settings = run.settings
     env = environments.for_training(
         run.environment, run.arguments, num_envs=settings.num_envs, warp=warp
     )
+    from gymnasium import spaces
+    from stable_baselines3.common.vec_env import VecNormalize
+
     vectors = {"observations": env.observation_space}
     if settings.algorithm != "ppo":
         vectors["actions"] = env.action_space

@@ -608,6 +608,16 @@ def test_without_the_extra_the_install_line_is_given():
     assert MissingExtraError.__doc__
 
 
+def test_without_the_extra_policies_are_listed_and_nothing_is_written(tmp_path, monkeypatch, capfd):
+    monkeypatch.setitem(sys.modules, "stable_baselines3", None)
+    assert main(["list", "policies", "Ant-v0/ppo-0"]) == 0
+    assert "Ant-v0/ppo-0" in capfd.readouterr().out
+    folder = tmp_path / "run"
+    assert main(["train", "Pendulum-v1", "--out", str(folder)]) == 2
+    assert "pip install 'mjgranular[train]'" in capfd.readouterr().err
+    assert not folder.exists()
+
+
 def test_policies_that_come_with_the_package_go_by_name(trained, tmp_path, monkeypatch, capfd):
     folder = tmp_path / "policies" / "Pendulum-v1" / "ppo-3"
     folder.mkdir(parents=True)
