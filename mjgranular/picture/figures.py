@@ -86,7 +86,7 @@ def draw_forces(path: Path, trajectory: Trajectory, *, stop: float | None, title
         t = trajectory.t * 1e3
         axes[0].plot(t, -trajectory.F_y, color=_BLUE, label="up, $-F_y$")
         axes[0].plot(t, trajectory.F_x, color=_OCHRE, label="along the surface, $F_x$")
-        axes[0].legend()
+        axes[0].legend(loc="upper right", bbox_to_anchor=(0.94, 1.0))  # left of the stop
         for axis, values in zip(
             axes[1:], (trajectory.M, trajectory.power, trajectory.energy), strict=True
         ):
