@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import mujoco
+import numpy as np
 import torch
 import warp as wp
 from mjlab.envs import ManagerBasedRlEnv, ManagerBasedRlEnvCfg
@@ -40,7 +41,7 @@ class SandMujocoCfg(MujocoCfg):
         super().apply(model)
         model.opt.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
         with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", "MuJoCo's sensors", UnfeltWarning)  # `_read_sand`
+            warnings.filterwarnings("ignore", "MuJoCo's sensors", UnfeltWarning)  # see _attach
             self.made = WarpSand(model, **self.sand)
 
 
@@ -130,7 +131,8 @@ def _contact_sensors(
     bodies = [model.body(int(name) if name.isdigit() else name).id for name in sand.bodies]
     ground = {(int(kinds.mjOBJ_UNKNOWN), -1), (int(kinds.mjOBJ_GEOM), model.geom(TERRAIN).id)}
     ground |= {(kind, model.body(TERRAIN).id) for kind in (int(kinds.mjOBJ_BODY), whole)}
-    unread = []
+    numb = [mujoco.mjtSensor.mjSENS_TOUCH, mujoco.mjtSensor.mjSENS_TACTILE]
+    unread = [name_of(model, "sensor", n) for n in np.isin(model.sensor_type, numb).nonzero()[0]]
     for n in (model.sensor_type == mujoco.mjtSensor.mjSENS_CONTACT).nonzero()[0]:
         kind, own, first = int(model.sensor_objtype[n]), int(model.sensor_objid[n]), len(slots)
         if (kind, own) in ground:
@@ -153,8 +155,8 @@ def _contact_sensors(
                 address += size
     if unread:
         warn_user(
-            "contact sensors read neither torque nor pos of the sand, and nothing with the ground "
-            f"as primary ({listed(unread)})",
+            "touch and tactile sensors read nothing of the sand, contact sensors no torque, no "
+            f"pos and nothing with the ground as primary ({listed(unread)})",
             UnfeltWarning,
         )
     return rows, slots

@@ -4,7 +4,7 @@ Data flow, and the order in which to read the package: a `Medium` says what the 
 `shape` cuts a model's geoms into elements; `surface` gives their depth; a `law` the force on each;
 a `scheme` makes a step of it; `Sand` binds them to a model.
 
-SI units, radians, world frame with z up; depth is positive below the surface, force on the body.
+SI units, radians, world frame, z up; depth is positive below the surface; forces are on the body.
 """
 
 # First, because MuJoCo reads it once, when it is imported: how to draw.

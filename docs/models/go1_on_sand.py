@@ -1,6 +1,5 @@
 """A task of mjlab on sand: the Go1 that follows commands, as its task `Sand-Go1`."""
 
-import mjlab.tasks  # noqa: F401 - registers those of mjlab
 from mjlab.tasks.registry import load_env_cfg, load_rl_cfg, load_runner_cls, register_mjlab_task
 
 from mjgranular.envs.mjlab import on_sand

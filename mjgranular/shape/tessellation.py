@@ -168,7 +168,7 @@ def ellipsoid(radii: tuple[float, float, float], resolution: int) -> Cells:
 def tube(radius: float, half: float, rows: int, around: int) -> Cells:
     """Return the side of a cylinder about z, with patches laid like bricks.
 
-    So they sample twice as many normals. An odd number of rows is symmetric under reflection.
+    Bricks sample twice as many normals; an odd number of rows is symmetric under reflection.
     """
     skin = _revolved(lambda u: (radius, half * (1 - 2 * u)))
     return rings(skin, [around] * rows, [0.5 * (row % 2) for row in range(rows)])

@@ -127,7 +127,7 @@ class Plane(Surface):
     Attributes:
         height: world z of the surface above the world's origin [m].
         slope: angle from the horizontal [rad], below pi/2; gravity does not rotate with it.
-        uphill: direction of steepest ascent, as an angle from the x axis about z [rad].
+        uphill: direction of steepest ascent, an angle from x about z [rad], at most one turn.
 
     Raises:
         InputError: a value that is not finite, a slope or a direction outside its range.

@@ -159,7 +159,7 @@ def test_touch_sensors_of_bodies_in_the_sand_are_told_to_be_numb(own):
 
 
 @pytest.mark.parametrize(
-    ("sensor", "is_told"),
+    ("sensor", "is_named"),
     [
         ('contact geom1="ball"', True),
         ('contact body1="ball" body2="world"', True),
@@ -169,7 +169,7 @@ def test_touch_sensors_of_bodies_in_the_sand_are_told_to_be_numb(own):
         ('contact body1="peg"', False),
     ],
 )
-def test_contact_sensors_do_not_measure_sand(sensor, is_told):
+def test_contact_sensors_do_not_measure_sand(sensor, is_named):
     ball = BALL.replace("<geom", '<site name="sole" size=".1"/><geom name="ball"')
     peg = '<body name="peg" pos="1 0 0"><freejoint/><geom size=".05"/></body>'
     floor = '<geom name="floor" type="plane" size="1 1 1" pos="0 0 -1"/>'
@@ -177,4 +177,4 @@ def test_contact_sensors_do_not_measure_sand(sensor, is_told):
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always", UnfeltWarning)
         by_sand(xml, bodies="ball")
-    assert any("the sand (number 0)" in str(one.message) for one in said) == is_told
+    assert any("the sand (number 0)" in str(one.message) for one in said) == is_named

@@ -47,10 +47,12 @@ cfg.scene.sensors += (
     ContactSensorCfg(name="sum", primary=robot, fields=(*fields, "pos"), reduce="netforce"),
     ContactSensorCfg(name="itself", primary=robot, secondary=robot, fields=("found", "force")),
 )
+touch = {"name": "sole", "type": mujoco.mjtSensor.mjSENS_TOUCH, "objname": "robot/FR"}
+cfg.scene.spec_fn = lambda spec: spec.add_sensor(objtype=mujoco.mjtObj.mjOBJ_SITE, **touch)
 with warnings.catch_warnings(record=True) as caught:
     env = ManagerBasedRlEnv(cfg, device="cpu")
 (unfelt,) = [str(w.message) for w in caught if w.category is UnfeltWarning]
-assert unfelt.endswith("(sum_trunk_pos)"), unfelt
+assert unfelt.endswith("(sole, sum_trunk_pos)"), unfelt
 sand = sand_of(env)
 env.reset()
 strength = sand.strength.numpy().copy()
