@@ -28,7 +28,6 @@ _PUSH = slice(_COMMAND.stop, _COMMAND.stop + 7 * _PUSHES)
 _STRENGTH, _DELAY = _PUSH.stop, _PUSH.stop + 1  # of the motors in this episode
 _LATE = 3  # the longest delay
 
-_SETTLING = 0.5  # before the first command [s]; chosen: in weak sand a Go1 sinks for 0.2 s
 _COMMAND_TIME = (3.0, 8.0)  # of a command [s]; these and the next two as in mjlab
 _PUSH_TIME = (1.0, 3.0)  # from one push to the next [s]
 _PUSH_SIZE = np.array([0.5, 0.5, 0.4, 0.52, 0.52, 0.78])  # [m/s], [rad/s]
@@ -157,12 +156,12 @@ class Go1Velocity(Task):
     In its stance on the surface, heading anywhere; joints are off by up to `reset_noise_scale` rad
     and turn at up to that in rad/s.
 
-    For half a second the command is to stand: a robot that is put down sinks until its feet carry
-    it, a Go1 by 8 cm in weak sand. Then a command holds for 3 to 8 s. One of ten is to stand, one
-    of five to walk straight ahead, at 0.3 m/s or more. Every 1 to 3 s a push changes the trunk's
-    velocity by up to `push_scale` times 0.5 m/s along x and y, 0.4 m/s along z, 0.52 rad/s in roll
-    and pitch and 0.78 rad/s in yaw. There are 7 more commands and 20 pushes, enough for 20 s: in
-    longer episodes the last command holds.
+    At first, for a time drawn from `settling_time`, the command is to stand: a robot that is put
+    down sinks until its feet carry it, a Go1 by 8 cm in weak sand. Then a command holds for 3 to 8
+    s. One of ten is to stand, one of five to walk straight ahead, at 0.3 m/s or more. Every 1 to 3
+    s a push changes the trunk's velocity by up to `push_scale` times 0.5 m/s along x and y, 0.4 m/s
+    along z, 0.52 rad/s in roll and pitch and 0.78 rad/s in yaw. There are 7 more commands and 20
+    pushes, enough for 20 s: in longer episodes the last command holds.
 
     Torques of all motors, and their limits, are those of the data sheet times a factor that is
     drawn from `motor_strength`. Targets of the motors come late by a number of steps of 0.02 s that
@@ -175,10 +174,11 @@ class Go1Velocity(Task):
     ## Arguments
     `robot_file`, a name of MuJoCo Menagerie or a path of MJCF with the same legs, whose other
     joints are locked; `command_x=(-0.8, 0.8)`, `command_y=(-0.4, 0.4)`, `command_yaw=(-1, 1)`,
-    `push_scale=1`, `motor_strength=(1, 1)`, `delay=(0, 0)`, `reset_noise_scale=0.05`, `history=0`
-    earlier steps in the observation, `privileged=False`, the sizes of the weights above, such as
-    `linear_weight=3`, `frame_skip=4` substeps of 5 ms, and those of `Task`: the medium, randomised
-    sand and so on. `bodies` are the feet unless given. The default resolution is 2.
+    `settling_time=(0.5, 0.5)` in seconds, `push_scale=1`, `motor_strength=(1, 1)`, `delay=(0, 0)`,
+    `reset_noise_scale=0.05`, `history=0` earlier steps in the observation, `privileged=False`, the
+    sizes of the weights above, such as `linear_weight=3`, `frame_skip=4` substeps of 5 ms, and
+    those of `Task`: the medium, randomised sand and so on. `bodies` are the feet unless given. The
+    default resolution is 2.
 
     ## Version History
     v0: first.
@@ -211,6 +211,7 @@ class Go1Velocity(Task):
     command_x: tuple[float, float] = (-0.8, 0.8)
     command_y: tuple[float, float] = (-0.4, 0.4)
     command_yaw: tuple[float, float] = (-1.0, 1.0)
+    settling_time: tuple[float, float] = (0.5, 0.5)  # chosen: in weak sand a Go1 sinks for 0.2 s
     push_scale: float = 1.0
     motor_strength: tuple[float, float] = (1.0, 1.0)
     delay: tuple[int, int] = (0, 0)
@@ -247,6 +248,11 @@ class Go1Velocity(Task):
         for name in ("command_x", "command_y", "command_yaw"):
             if not np.isfinite(getattr(self, name)).all():
                 raise InputError(f"{name} must be a range of finite numbers")
+        shortest, longest = self.settling_time
+        if not 0.0 <= shortest <= longest < math.inf:
+            raise InputError(
+                f"settling_time must be a range of times from 0 s on, not {self.settling_time}"
+            )
         weakest, strongest = self.motor_strength
         if not 0.0 < weakest <= strongest < math.inf:
             raise InputError(
@@ -392,10 +398,7 @@ class Go1Velocity(Task):
         userdata[_SLOPE] = 0.0, 1.0
         userdata[_COMMAND] = self._draw_commands(random).ravel()
         userdata[_PUSH] = self._draw_pushes(random).ravel()
-        # A range of one value draws nothing, so that seeds keep their meaning.
-        low, high = self.motor_strength
-        strength = random.uniform(low, high) if low < high else low
-        userdata[_STRENGTH] = strength
+        strength = userdata[_STRENGTH] = _draw(random, *self.motor_strength)
         least, most = self.delay
         userdata[_DELAY] = random.integers(least, most + 1) if least < most else least
         userdata[self._rows.targets] = np.tile(self._stance, _LATE)
@@ -425,7 +428,8 @@ class Go1Velocity(Task):
         ranges = (self.command_x, self.command_y, self.command_yaw)
         table = np.zeros((_COMMANDS, 4))
         times = random.uniform(*_COMMAND_TIME, _COMMANDS - 2)
-        table[1:, 0] = np.round(np.array([_SETTLING, *times]) / self.dt).cumsum()
+        settling = _draw(random, *self.settling_time)
+        table[1:, 0] = np.round(np.array([settling, *times]) / self.dt).cumsum()
         for row in table[1:]:
             row[1:] = [random.uniform(*limits) for limits in ranges]
             kind = random.uniform()
@@ -787,6 +791,11 @@ def _to_body(qpos: np.ndarray, vector: Any) -> tuple[Any, Any, Any]:
         b - w * q + (z * p - x * r),
         c - w * r + (x * q - y * p),
     )
+
+
+def _draw(random: np.random.Generator, low: float, high: float) -> float:
+    """Draw from a range; one of a single value draws nothing, so that seeds keep their meaning."""
+    return random.uniform(low, high) if low < high else low
 
 
 def _exp(values: np.ndarray) -> np.ndarray:

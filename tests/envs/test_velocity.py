@@ -16,7 +16,7 @@ import pytest
 from mjgranular import InputError, UnknownNameError
 from mjgranular.envs import SandRanges, SandVectorEnv
 from mjgranular.envs.single import SandEnv
-from mjgranular.envs.velocity import G1Velocity, Gait, Go1Velocity, Go2Velocity, Motor
+from mjgranular.envs.velocity import _COMMAND, G1Velocity, Gait, Go1Velocity, Go2Velocity, Motor
 from mjgranular.experiment.drop import Drop, load
 from mjgranular.models import robot_path
 from mjgranular.models.hexapod import LEGS, Hexapod
@@ -158,6 +158,23 @@ def test_the_scripted_walk_lifts_one_leg_in_turn_with_level_soles():
     assert np.abs(hip + knee + ankle).max() == pytest.approx(0.0, abs=1e-12)
     assert knee.max(axis=0) == pytest.approx([0.7, 0.7], rel=0.01)
     assert np.all(knee.min(axis=1) == 0.0)
+
+
+@pytest.mark.parametrize("times", [(0.0, 0.0), (0.1, 0.4), (0.5, 0.5)])
+def test_the_first_command_comes_after_a_time_that_is_drawn(times):
+    env = SandEnv(Go1Velocity(**STILL, settling_time=times, command_x=(0.4, 0.4)))
+    shortest, longest = np.round(np.array(times) / env.task.dt)
+    firsts = set()
+    for seed in range(12):
+        env.reset(seed=seed)
+        firsts.add(env.data.userdata[_COMMAND].reshape(-1, 4)[1, 0])
+    assert shortest <= min(firsts) <= max(firsts) <= longest
+    assert len(firsts) == 1 if shortest == longest else len(firsts) > 4
+    step = 0
+    while not env.task.command(env.state).any():
+        env.step(ZERO)
+        step += 1
+    assert step == env.data.userdata[_COMMAND].reshape(-1, 4)[1, 0]
 
 
 def test_only_the_motors_limit_torques(robots, tmp_path):
@@ -425,9 +442,11 @@ def test_a_delay_gives_the_targets_of_an_earlier_step():
         ({"delay": (0, 0.5)}, "delay must be an integer"),
         ({"delay": (True, 2)}, "delay must be an integer"),
         ({"motor_strength": 1.0}, "range"),
+        ({"settling_time": (-0.1, 0.5)}, "range of times from 0 s on"),
+        ({"settling_time": (0.5, 0.1)}, "range"),
     ],
 )
-def test_motors_that_cannot_be_are_refused(options, message):
+def test_motors_and_times_that_cannot_be_are_refused(options, message):
     with pytest.raises(InputError, match=message):
         Go1Velocity(**options)
 
