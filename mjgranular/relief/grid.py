@@ -49,14 +49,19 @@ def node_keys(i: Any, j: Any) -> Any:
     return (i + _BIAS) * _STRIDE + (j + _BIAS) + 1
 
 
-key_of = compiled(node_keys, inline=True)  # `node_keys` for kernels
+def nodes_of(keys: Any) -> Any:
+    """Return rows and columns of the nodes with these keys."""
+    return (keys - 1) // _STRIDE - _BIAS, (keys - 1) % _STRIDE - _BIAS
+
+
+key_of = compiled(node_keys, inline=True)  # for kernels
+_node_of_key = compiled(nodes_of, inline=True)
 
 
 @partial(compiled, inline=True)
 def node_of(base):
     """Return the node (i, j) of a `base_of`."""
-    key = int(0.25 * base)
-    return (key - 1) // _STRIDE - _BIAS, (key - 1) % _STRIDE - _BIAS
+    return _node_of_key(int(0.25 * base))
 
 
 @partial(compiled, inline=True)

@@ -6,7 +6,7 @@ from typing import Self
 import mujoco
 import numpy as np
 
-from mjgranular.relief.grid import HEADER, HEIGHT, KEY, node_keys
+from mjgranular.relief.grid import HEADER, HEIGHT, KEY, node_keys, nodes_of
 from mjgranular.relief.memory import Memory
 from mjgranular.sand import Sand
 
@@ -61,11 +61,8 @@ class TrackRecorder:
     def __init__(self, sand: Sand, data: mujoco.MjData, duration: float) -> None:
         assert sand.memory is not None
         self._sand, self._data, self._memory = sand, data, sand.memory
-        self._apart = duration / _INSTANTS
-        self._next = 0.0
-        size = self._memory.size
-        self._heights = np.zeros((size, size), np.float32)
-        self._nodes = np.zeros((size, size, 2), np.int32)
+        self._apart, self._next = duration / _INSTANTS, 0.0
+        self._last = np.zeros((2, sand.memory.size**2))  # heights, and keys without labels
         self._t: list[float] = []
         self._changes: list[tuple[np.ndarray, np.ndarray]] = []
 
@@ -76,22 +73,18 @@ class TrackRecorder:
         self._next = t + self._apart
         if self._t and t <= self._t[-1]:
             return
-        cell, size = self._memory.cell, self._memory.size
-        heights = self._sand.relief(self._data)
-        i, j = (np.rint(x / cell).astype(np.int32) for x in (heights.x, heights.y))
-        rows, columns = np.ix_(i % size, j % size)
-        nodes = np.stack(np.meshgrid(i, j, indexing="ij"), axis=-1)
-        before = self._heights[rows, columns]
-        other = (self._nodes[rows, columns] != nodes).any(axis=-1)
-        now = heights.height.astype(np.float32)
-        changed = np.abs(now - np.where(other, 0, before)) > _STEPS * cell
-        changed |= other & ((now != 0) | (before != 0))
-        changed |= (now == 0) != (before == 0)
-        at = np.nonzero(changed)
-        self._heights[(i % size)[at[0]], (j % size)[at[1]]] = now[at]
-        self._nodes[(i % size)[at[0]], (j % size)[at[1]]] = nodes[at]
+        state = self._sand.save_memory(self._data)[HEADER:]
+        state = state[: self._last.size].reshape(self._last.shape)
+        places = np.flatnonzero((state != self._last).any(axis=0))
+        (before, keys_before), (now, keys) = self._last[:, places], state[:, places]
+        now, keys = now.astype(np.float32), 4 * (keys // 4)
+        changed = np.abs(now - before) > _STEPS * self._memory.cell
+        changed |= ((now == 0) != (before == 0)) | ((keys != keys_before) & (now != 0))
+        now, keys = now[changed], keys[changed]
+        self._last[:, places[changed]] = now, keys
+        nodes = np.stack(nodes_of(keys.astype(np.int64) // 4), axis=1).astype(np.int32)
         self._t.append(t)
-        self._changes.append((nodes[at], now[at]))
+        self._changes.append((nodes, now))
 
     def prints(self) -> Tracks:
         return Tracks(
