@@ -30,7 +30,7 @@ from mjgranular.models import robot_path
 from mjgranular.render import Tracks
 from mjgranular.render.scenery import add_scenery, place_sun
 from mjgranular.sand import Sand
-from mjgranular.sand.prepare import geoms_in_sand
+from mjgranular.sand.prepare import fitted, geoms_in_sand
 from mjgranular.sand.report import BodyReport
 from mjgranular.sand.work import WorkMeter
 from mjgranular.surface.floors import FloorWatch
@@ -301,8 +301,10 @@ def load(drop: Drop) -> tuple[mujoco.MjModel, str]:
         spec = read(drop)
         make_ready(spec, drop)
         xml = spec.to_xml()
-        show_prints(spec, drop.sand)
         model = spec.compile()
+        if drop.memory is not None:  # the skin has the size of the memory that fits the model
+            show_prints(spec, fitted(model, drop.sand))
+            model = spec.compile()
         hide_replaced(model, drop.sand)
         place_sun(model)
         return model, xml

@@ -108,11 +108,11 @@ def frames_of_impact(
     """
     link, sand = impact.link, impact.described
     spec = link.spec()
-    add_cut_scenery(spec, link.reach, None if prints is None else as_memory(sand.memory))
+    memory = None if prints is None else as_memory(fitted(spec.compile(), sand).memory)
+    add_cut_scenery(spec, link.reach, memory)
     model = spec.compile()
     check_camera(model, film.camera)
     place_sun(model)
-    memory = as_memory(fitted(model, sand).memory)
     covered = None if prints is None or memory is None else (prints, memory)
     run, zero = trajectory, np.zeros(len(trajectory))
     # In front of the link, so that the link does not hide the arrow.

@@ -9,9 +9,17 @@ import pytest
 
 from mjgranular import Bed, HeightField, Plane
 from mjgranular.engine.looks import DrawnSand, look_of_plane
+from mjgranular.experiment import Impact, run_impact
 from mjgranular.experiment.drop import Drop, load, run_drop
+from mjgranular.picture import video
 from mjgranular.picture.scene import add_arrow
-from mjgranular.picture.video import Film, Motion, frames_of_model
+from mjgranular.picture.video import (
+    Film,
+    Motion,
+    frames_of_drop,
+    frames_of_impact,
+    frames_of_model,
+)
 from mjgranular.render import skin
 from mjgranular.render.material import MATERIAL, radius_of
 from mjgranular.render.scenery import add_daylight, add_scenery
@@ -224,3 +232,19 @@ def test_grains_around_the_start_are_no_mirror_images():
     texture = skin._texture(220, 0.01, 0.0)[: 220 * 220].reshape(220, 220, 2)
     assert not np.allclose(texture[1:40, 0], texture[-1:-40:-1, 0])
     np.testing.assert_allclose(np.abs(np.diff(texture, axis=0, append=texture[:1])).max(), 0.01)
+
+
+def test_the_skin_of_a_film_has_the_size_of_the_memory_that_the_run_had(tmp_path, monkeypatch):
+    made = []
+    monkeypatch.setattr(video, "_render", lambda *arguments: made.append(arguments))
+    film = Film(camera="free", width=160, height=120)
+    far = BLOCK.replace("0 0 0.1", "3 0 0.1").replace("block", "far")
+    drop = Drop(write(tmp_path, body=BLOCK + far), memory="0.05", duration=0.002)
+    fallen = run_drop(drop)
+    frames_of_drop(film, drop, vars(fallen), fallen.prints)
+    wide = {"body": "box", "length": 0.6, "diameter": 0.5, "medium": "quikrete_medium"}
+    struck = run_impact(Impact(**wide, memory="0.05", duration=1e-3))
+    frames_of_impact(film, struck.impact, struck.trajectory, None, struck.prints)
+    for _, model, *_, (_, memory) in made:
+        assert memory.size > 2 / memory.cell
+        assert model.skin_vertnum == skin.vertex_count(skin.lines_of(memory))
