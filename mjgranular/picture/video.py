@@ -1,9 +1,10 @@
 """Films of a run in slow motion, with the force of the sand as an arrow; films in notebooks."""
 
+import math
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, fields
-from itertools import pairwise
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from mjgranular.errors import (
     OutputError,
     UnknownNameError,
 )
-from mjgranular.experiment.drop import Drop, DropResult, load
+from mjgranular.experiment.drop import Drop, DropResult, load, start_from
 from mjgranular.experiment.impact import Impact, ImpactResult
 from mjgranular.experiment.trajectory import Trajectory
 from mjgranular.picture.scene import Ground, View, add_arrow, make_renderer
@@ -91,8 +92,7 @@ class Motion:
 
 def check_camera(model: mujoco.MjModel, camera: str) -> None:
     """Check that a model has a camera."""
-    known = ["free", *(model.camera(c).name for c in range(model.ncam))]
-    check_name("camera", camera, known)
+    check_name("camera", camera, ["free", *(model.camera(c).name for c in range(model.ncam))])
 
 
 def frames_of_impact(
@@ -106,8 +106,7 @@ def frames_of_impact(
 
     `stop` is the time from release to the stop [s].
     """
-    link, sand = impact.link, impact.described
-    spec = link.spec()
+    link, sand, spec = impact.link, impact.described, impact.link.spec()
     memory = None if prints is None else as_memory(fitted(spec.compile(), sand).memory)
     add_cut_scenery(spec, link.reach, memory)
     model = spec.compile()
@@ -125,7 +124,7 @@ def frames_of_impact(
     times = [time for phase in pairwise(ends) for time in _times(film, *phase, film.seconds)]
     times += times[-1:] * round(film.hold * film.fps)
     view = View(np.zeros(3), link.reach)
-    return len(times), _render(film, model, motion, times, view, None, covered)
+    return len(times), _render(film, mujoco.MjData(model), motion, times, view, None, covered)
 
 
 def frames_of_model(
@@ -135,14 +134,17 @@ def frames_of_model(
     surface: Surface | None = None,
     prints: Tracks | None = None,
     memory: Memory | None = None,
+    keyframe: str | None = None,
 ) -> Frames:
-    """Return the pictures of a run of any model, in real time or slower to fill the film."""
+    """Return pictures of a run of any model, in real time or slower; a keyframe places mocaps."""
     check_camera(model, film.camera)
     begin, end = float(motion.t[0]), float(motion.t[-1])
-    view = View.of(model, mujoco.MjData(model), motion.qpos)
+    data = mujoco.MjData(model)
+    start_from(model, data, keyframe)
+    view = View.of(model, data, motion.qpos)
     times = _times(film, begin, end, max(film.seconds, end - begin))
     covered = None if prints is None or memory is None else (prints, memory)
-    return len(times), _render(film, model, motion, times, view, surface, covered)
+    return len(times), _render(film, data, motion, times, view, surface, covered)
 
 
 def frames_of_drop(
@@ -150,8 +152,7 @@ def frames_of_drop(
 ) -> Frames:
     """Return the pictures of a drop, with samples as those of a `DropResult`."""
     motion = Motion(*(samples[field.name] for field in fields(Motion)))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", GranularWarning)  # the run has shown them
+    with warnings.catch_warnings(action="ignore", category=GranularWarning):  # they were shown
         model, _ = load(drop)
     if motion.qpos.shape[1] != model.nq:
         raise OutputError(
@@ -159,7 +160,7 @@ def frames_of_drop(
             "is not the model that ran"
         )
     memory = as_memory(fitted(model, drop.sand).memory)
-    return frames_of_model(film, model, motion, drop.surface, prints, memory)
+    return frames_of_model(film, model, motion, drop.surface, prints, memory, drop.keyframe)
 
 
 def _times(film: Film, begin: float, end: float, seconds: float) -> list[tuple[float, float]]:
@@ -173,8 +174,7 @@ def _between(model: mujoco.MjModel, motion: Motion, k: int, time: float) -> np.n
     """Interpolate `qpos` between sample k and the next."""
     qpos = motion.qpos[k].copy()
     if k + 1 < len(motion.t):
-        span = motion.t[k + 1] - motion.t[k]
-        change = np.zeros(model.nv)
+        span, change = motion.t[k + 1] - motion.t[k], np.zeros(model.nv)
         mujoco.mj_differentiatePos(model, change, span, qpos, motion.qpos[k + 1])
         mujoco.mj_integratePos(model, qpos, change, time - motion.t[k])
     return qpos
@@ -182,7 +182,7 @@ def _between(model: mujoco.MjModel, motion: Motion, k: int, time: float) -> np.n
 
 def _render(
     film: Film,
-    model: mujoco.MjModel,
+    data: mujoco.MjData,
     motion: Motion,
     times: list[tuple[float, float]],
     view: View,
@@ -190,25 +190,25 @@ def _render(
     covered: tuple[Tracks, Memory] | None,
 ) -> Iterator[np.ndarray]:
     """Yield the pictures at these times; invisible changes are not rendered."""
-    data, moving = mujoco.MjData(model), moving_geoms(model)
+    model, moving = data.model, moving_geoms(data.model)
     ground = Ground(model, surface, view, covered)
     font = require("PIL.ImageFont", extra="video", purpose=_PURPOSE)
     font = font.load_default(size=max(10, film.height // 30))
     camera = view.camera(model, film.width / film.height) if film.camera == "free" else film.camera
     greatest = float(np.linalg.norm(motion.force, axis=2).max())
+    digits = max(0, 2 - math.floor(math.log10(greatest or 1.0)))  # three of the greatest force
     scale = _ARROWS * view.radius / max(greatest, 1e-300)
     shown, picture = np.zeros((0, 3)), np.zeros(0)
     with make_renderer(model, film.width, film.height) as renderer:
         for time, slower in times:
             k = int(np.searchsorted(motion.t, time, side="right")) - 1
             data.qpos[:] = _between(model, motion, k, time)
-            mujoco.mj_kinematics(model, data)
-            mujoco.mj_comPos(model, data)
-            mujoco.mj_camlight(model, data)
+            mujoco.mj_fwdPosition(model, data)  # cameras, lights, tendons and flexes too
             arrows = scale * motion.force[k]
             seen = np.linalg.norm(arrows, axis=1) > _SEEN * view.radius
             tails, tips = motion.point[k][seen], (motion.point[k] + arrows)[seen]
-            now = np.concatenate([data.geom_xpos, data.geom_xmat.reshape(-1, 3), tips])
+            points = data.geom_xpos, data.geom_xmat.reshape(-1, 3), data.flexvert_xpos, tips
+            now = np.concatenate(points)
             moved = now.shape != shown.shape or np.abs(now - shown).max() > _STILL * view.radius
             if moved or ground.moves(time):
                 ground.lay(time, data.geom_xpos[moving].mean(axis=0))
@@ -220,7 +220,7 @@ def _render(
             total = float(np.linalg.norm(motion.force[k].sum(axis=0)))
             pace = "real time" if slower < 1.05 else f"slowed down {float(f'{slower:.2g}'):g}x"
             clock = f"{time * 1e3:.2f} ms" if times[-1][0] < _SHORT else f"{time:.3f} s"
-            text = f"t = {clock}\nforce of the sand = {total:.0f} N\n{pace}"
+            text = f"t = {clock}\nforce of the sand = {total:.{digits}f} N\n{pace}"
             yield _captioned(picture, text, font)
 
 
@@ -254,22 +254,19 @@ def write_video(
     count: int,
     pictures: Iterator[np.ndarray],
     *,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Callable[[int, int], None] = lambda done, count: None,
 ) -> None:
     """Write pictures as an MP4 (H.264)."""
     mediapy = need_mediapy(_PURPOSE)
     first = next(pictures)  # fails on a machine that cannot render, before a file is opened
-    shape = (film.height, film.width)
     try:
         with (
             atomic_write(path) as part,
-            mediapy.VideoWriter(part, shape=shape, fps=film.fps, crf=20) as writer,
+            mediapy.VideoWriter(part, (film.height, film.width), fps=film.fps, crf=20) as writer,
         ):
-            writer.add_image(first)
-            for done, picture in enumerate(pictures, start=2):
+            for done, picture in enumerate(chain([first], pictures), start=1):
                 writer.add_image(picture)
-                if progress is not None:
-                    progress(done, count)
+                progress(done, count)
     except RuntimeError as error:
         if isinstance(error, GranularError) or "Error writing" not in str(error):
             raise
@@ -281,8 +278,7 @@ def play(film: Any, fps: int, seconds: float, camera: str | None) -> None:
     """Play a film; see `mjgranular.show`."""
     if not isinstance(fps, int) or not 1 <= fps <= 240:
         raise InputError(f"frames per second must be an integer from 1 to 240, got {kind_of(fps)}")
-    mediapy = need_mediapy("Showing a film")
-    mediapy.show_video(_pictures(film, fps, seconds, camera), fps=fps)
+    need_mediapy("Showing a film").show_video(_pictures(film, fps, seconds, camera), fps=fps)
 
 
 def _pictures(film: Any, fps: int, seconds: float, camera: str | None) -> list[np.ndarray]:
@@ -293,8 +289,7 @@ def _pictures(film: Any, fps: int, seconds: float, camera: str | None) -> list[n
     if isinstance(film, ImpactResult):
         options = Film(camera=camera or "side", fps=fps, seconds=seconds)
         stop = None if film.stop is None else (film.touchdown or 0.0) + film.stop.time
-        drawn = frames_of_impact(options, film.impact, film.trajectory, stop, film.prints)
-        return list(drawn[1])
+        return list(frames_of_impact(options, film.impact, film.trajectory, stop, film.prints)[1])
     try:
         pictures = [np.asarray(picture) for picture in film]
     except (TypeError, ValueError, UnknownNameError):  # not a sequence, nor a known result

@@ -234,6 +234,27 @@ def test_grains_around_the_start_are_no_mirror_images():
     np.testing.assert_allclose(np.abs(np.diff(texture, axis=0, append=texture[:1])).max(), 0.01)
 
 
+def test_tendons_and_mocap_bodies_are_where_the_run_had_them(tmp_path):
+    path = tmp_path / "model.xml"
+    path.write_text("""
+        <mujoco><worldbody>
+          <camera name="front" pos="0 -2 0.3" xyaxes="1 0 0 0 0 1"/>
+          <body name="a" pos="-0.3 0 0.3"><freejoint/><geom size="0.05"/><site name="a"/></body>
+          <body name="b" pos="0.3 0 0.3"><freejoint/><geom size="0.05"/><site name="b"/></body>
+          <body name="goal" mocap="true" pos="0 5 -5">
+            <geom size="0.1" rgba="0 1 0 1" contype="0" conaffinity="0"/></body>
+        </worldbody><tendon><spatial width="0.03" rgba="1 0 1 1">
+          <site site="a"/><site site="b"/></spatial></tendon>
+        <keyframe><key name="up" mpos="0 0 0.7"/></keyframe></mujoco>""")
+    drop = Drop(path, keyframe="up", duration=0.02)
+    result = run_drop(drop)
+    film = Film(camera="front", width=160, height=120, fps=4, seconds=0.5)
+    picture = list(frames_of_drop(film, drop, vars(result), result.prints)[1])[-1]
+    red, green, blue = (picture[..., i].astype(int) for i in range(3))
+    assert ((red > 2 * green) & (blue > 2 * green)).sum() > 50  # the tendon
+    assert ((green > 2 * red) & (green > 2 * blue)).sum() > 50  # the mocap body
+
+
 def test_the_skin_of_a_film_has_the_size_of_the_memory_that_the_run_had(tmp_path, monkeypatch):
     made = []
     monkeypatch.setattr(video, "_render", lambda *arguments: made.append(arguments))
@@ -245,6 +266,14 @@ def test_the_skin_of_a_film_has_the_size_of_the_memory_that_the_run_had(tmp_path
     wide = {"body": "box", "length": 0.6, "diameter": 0.5, "medium": "quikrete_medium"}
     struck = run_impact(Impact(**wide, memory="0.05", duration=1e-3))
     frames_of_impact(film, struck.impact, struck.trajectory, None, struck.prints)
-    for _, model, *_, (_, memory) in made:
+    for _, data, *_, (_, memory) in made:
         assert memory.size > 2 / memory.cell
-        assert model.skin_vertnum == skin.vertex_count(skin.lines_of(memory))
+        assert data.model.skin_vertnum == skin.vertex_count(skin.lines_of(memory))
+
+
+def test_small_forces_are_written_with_decimals(tmp_path, monkeypatch):
+    captions = []
+    monkeypatch.setattr(video, "_captioned", lambda _, text, __: captions.append(text))
+    pebble = '<body pos="0 0 0.003"><freejoint/><geom size="0.004" mass="1e-3"/></body>'
+    film_of(Drop(write(tmp_path, body=pebble), duration=0.1))
+    assert float(captions[-1].split(" = ")[2].split(" N")[0]) == pytest.approx(0.0098, rel=0.2)
