@@ -3,6 +3,7 @@
 import math
 import warnings
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, fields
 from itertools import chain, pairwise
 from pathlib import Path
@@ -18,6 +19,7 @@ from mjgranular.errors import (
     GranularWarning,
     InputError,
     OutputError,
+    RenderError,
     UnknownNameError,
 )
 from mjgranular.experiment.drop import Drop, DropResult, load, start_from
@@ -241,10 +243,13 @@ def _captioned(picture: np.ndarray, text: str, font: Any) -> np.ndarray:
 
 
 def need_mediapy(purpose: str) -> Any:
-    """Return the module mediapy, with the ffmpeg of imageio-ffmpeg."""
+    """Return the module mediapy, with the ffmpeg that imageio-ffmpeg finds."""
     mediapy = require("mediapy", extra="video", purpose=purpose)
     ffmpeg = require("imageio_ffmpeg", extra="video", purpose=purpose)
-    mediapy.set_ffmpeg(ffmpeg.get_ffmpeg_exe())
+    with suppress(RuntimeError):  # it finds none
+        mediapy.set_ffmpeg(ffmpeg.get_ffmpeg_exe())
+    if not mediapy.video_is_available():
+        raise RenderError("no ffmpeg is found: install it, or let IMAGEIO_FFMPEG_EXE be its path")
     return mediapy
 
 

@@ -9,6 +9,7 @@ import pytest
 
 from mjgranular import Bed, HeightField, Plane
 from mjgranular.engine.looks import DrawnSand, look_of_plane
+from mjgranular.errors import RenderError
 from mjgranular.experiment import Impact, run_impact
 from mjgranular.experiment.drop import Drop, load, run_drop
 from mjgranular.picture import video
@@ -277,3 +278,15 @@ def test_small_forces_are_written_with_decimals(tmp_path, monkeypatch):
     pebble = '<body pos="0 0 0.003"><freejoint/><geom size="0.004" mass="1e-3"/></body>'
     film_of(Drop(write(tmp_path, body=pebble), duration=0.1))
     assert float(captions[-1].split(" = ")[2].split(" N")[0]) == pytest.approx(0.0098, rel=0.2)
+
+
+@pytest.mark.parametrize("program", ["", "/nowhere/ffmpeg"])
+def test_a_machine_without_ffmpeg_is_an_error_of_one_sentence(monkeypatch, program):
+    find = pytest.importorskip("imageio_ffmpeg._utils")
+    monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", program)
+    monkeypatch.setenv("PATH", "")
+    monkeypatch.setattr(find, "_get_ffmpeg_exe", lambda: None)
+    mediapy = pytest.importorskip("mediapy")
+    monkeypatch.setattr(mediapy._config, "ffmpeg_name_or_path", "ffmpeg")
+    with pytest.raises(RenderError, match="no ffmpeg is found: install it, or let IMAGEIO_FFMPEG"):
+        video.need_mediapy("A film")
