@@ -7,6 +7,7 @@ import numpy as np
 
 from mjgranular.engine.block import HEADER_DTYPE, header_at
 from mjgranular.engine.draw import add_prints, add_surface, lay_prints
+from mjgranular.errors import InputError
 from mjgranular.kernel.compiled import compiled, entry, program_address
 from mjgranular.kernel.memory import row_of
 from mjgranular.kernel.structs import check_layout, offset_of, record_of
@@ -69,10 +70,11 @@ def look_of_tracks(
     if region is None and not isinstance(relief.base, Plane):
         unit = TILE
     canvas, *arrays = make_canvas(record, relief.memory, unit, region)
+    if canvas["vertex_count"][0] != model.skin_vertnum[skin]:
+        raise InputError("skin mjgranular_prints is of another memory: delete it from the model")
     shape, fields = shape_of(relief, record["base"].dtype), cast(Any, record.dtype.fields)
-    material, ground = int(model.skin_matid[skin]), -1
-    if isinstance(relief.base, HeightField):
-        ground = relief.base.geoms(model)[0]
+    material = int(model.skin_matid[skin])
+    ground = relief.base.geoms(model)[0] if isinstance(relief.base, HeightField) else -1
     return {
         "frame": fields["origin"][1],
         "shape_program": program_address(shape, SIGNATURE, "prints, as they are drawn"),
@@ -132,8 +134,7 @@ class DrawnSand:
             # Drawings do not depend on the surroundings.
             relief = Relief(surface, memory, memory.surroundings or memory.cell)
             self._record = record = relief.record(model)
-            skin = skin_of(model)
-            look, self._arrays = look_of_tracks(model, relief, record, skin, unit, region)
+            look, self._arrays = look_of_tracks(model, relief, record, skin_of(model), unit, region)
             look["canvas"] = self._arrays[0].ctypes.data
             model.geom_group[list(surface.geoms(model))] = NOT_SHOWN
         self._is_seen = look is not None
@@ -154,8 +155,7 @@ class DrawnSand:
             return
         self._middle[:] = self._middle if middle is None else middle
         self._scene["maxgeom"], self._scene["ngeom"] = scene.maxgeom, scene.ngeom
-        first = scene.geoms[0].pos.ctypes.data - offset_of("mjvGeom", "pos")
-        self._scene["geoms"] = first
+        self._scene["geoms"] = scene.geoms[0].pos.ctypes.data - offset_of("mjvGeom", "pos")
         arrays = (self._scene, self._head, self._record, self._middle)
         self._show(*(array.ctypes.data for array in arrays))
         scene.ngeom = int(self._scene["ngeom"][0])

@@ -237,6 +237,14 @@ def test_a_film_has_prints_where_the_run_had_them() -> None:
         np.testing.assert_allclose(drawn, heights[i, j], atol=1.1e-3 * CELL)
 
 
+def test_a_skin_of_another_memory_is_an_error() -> None:
+    spec = spec_of(GROUNDS["plane"])
+    show_prints(spec, SandSpec(memory=0.02))
+    add_sand(spec, **(SAND | {"memory": Memory(cell=0.02, extent=6.0)}))
+    with pytest.raises(ValueError, match="skin mjgranular_prints is of another memory: delete it"):
+        mujoco.MjData(spec.compile())
+
+
 def test_recording_prints_in_fine_cells_is_fast() -> None:
     ground = GROUNDS["plane"]
     model = spec_of(ground).compile()
