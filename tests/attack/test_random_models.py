@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 ATTACK = Path(__file__).resolve().parents[2] / "scripts" / "attack.py"
-MODELS, STEPS = 40, 60
+MODELS, STEPS = 28, 60
 
 
 def attack(folder, *options, **more):

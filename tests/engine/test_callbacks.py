@@ -330,7 +330,8 @@ def interrupt(*_):
 
 signal.signal(signal.SIGINT, interrupt)
 spec = mujoco.MjSpec.from_string(BALL)
-mjgranular.add_sand(spec, law=mjgranular.DepthVelocityLaw(stiffness=100, linear=5))
+law = mjgranular.DepthVelocityLaw(stiffness=100, linear=5)
+mjgranular.add_sand(spec, law=law, scheme="explicit")
 print("compiling", flush=True)
 interrupts = 0
 while True:
@@ -345,6 +346,7 @@ while True:
         trying = early = False
         interrupts += 1
         print("interrupted", flush=True)
+data.qvel[2] = -1.0
 mujoco.mj_step(model, data)
 assert data.qfrc_passive.any()
 print(interrupts)

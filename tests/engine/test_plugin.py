@@ -163,7 +163,7 @@ SANDS: list[dict[str, Any]] = [
     "integrator", ["mjINT_EULER", pytest.param("mjINT_IMPLICITFAST", marks=pytest.mark.slow)]
 )
 def test_both_doors_give_the_same_force(arguments: dict[str, Any], integrator: str) -> None:
-    for seed in range(3):
+    for seed in range(3 if integrator == "mjINT_EULER" else 1):
         spec = random_tree(seed)
         spec.option.integrator = getattr(mujoco.mjtIntegrator, integrator)
         bare = mujoco.MjModel.from_xml_string(spec.to_xml())  # XML rounds: once for both
