@@ -43,6 +43,7 @@ GROUNDS: dict[str, dict[str, Any]] = {
     "a rigid floor": {"rigid": math.inf},
     HALVED: {"frame_skip": 2 * Go1Velocity.frame_skip},
     "with memory": {"memory": True},
+    "commanded at once": {"settling_time": (0.0, 0.0)},  # while it still sinks
 }
 
 
@@ -60,6 +61,8 @@ class Options:
     """Of pushes, as in the environment."""
     law: str | None = None
     """Default: that of the environment."""
+    only: str = ""
+    """A part of the names of the grounds; default: all."""
 
 
 def follow(policy: Policy, task: Go1Velocity, episodes: int, seconds: float) -> tuple[float, ...]:
@@ -85,7 +88,8 @@ def main(options: Options) -> None:
     halved = type("Halved", (robot,), {"timestep": robot.timestep / 2})
     history = policy.run.settings.environment.get("history", 0)
     print("| ground | error [m/s] | of yaw [rad/s] | falls |\n|---|---|---|---|")
-    for name, ground in GROUNDS.items():
+    for name in (name for name in GROUNDS if options.only in name):
+        ground = GROUNDS[name]
         task = (halved if name == HALVED else robot)(
             push_scale=options.push_scale, law=options.law, history=history, **ground
         )
