@@ -5,7 +5,7 @@ Both depend on all geoms that are welded together: dividing a body into more of 
 
 import copy
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 import mujoco
@@ -35,7 +35,8 @@ _RINGS = 4  # angles of rays to the normal, two opposite ones at each; chosen
 # facet's own geom within the second distance count as the facet itself. Chosen.
 _TOUCH, _ITSELF = 1e-6, 1e-2
 
-_CORNERS = ((-0.5, -0.5), (-0.5, 0.5), (0.5, -0.5), (0.5, 0.5))  # where rays start, in half edges
+# Where rays start, in half edges.
+_CORNERS = np.array([(-0.5, -0.5), (-0.5, 0.5), (0.5, -0.5), (0.5, 0.5)])
 
 # Maximum number of parts that count along a ray; arcs are followed in at most `_CHORDS` chords of
 # `_CHORD` radians. Chosen.
@@ -45,8 +46,8 @@ _SHOWN, _ALONE = (np.array(groups, np.uint8) for groups in ([1, 1, 0, 0, 0, 0], 
 _MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
 _RODS = (int(mujoco.mjtGeom.mjGEOM_CAPSULE), int(mujoco.mjtGeom.mjGEOM_CYLINDER))
 
-Arc = tuple[float, np.ndarray]
-"""Start of arcs around a hinge: radius [m], and axes out, around and along, as rows."""
+Chords = Iterable[tuple[np.ndarray, np.ndarray]]
+"""Begins and vectors of the chords of a ray [m]."""
 
 
 def in_own_frames(model: mujoco.MjModel) -> mujoco.MjData:
@@ -156,7 +157,8 @@ def exposures(model: mujoco.MjModel, data: mujoco.MjData, facets: np.ndarray) ->
     exposed = np.ones(len(facets))
     points, normals, edges = _placed(data, facets)
     welds = model.body_weldid[facets["body"]]
-    sight, directions = _Sight(model, data), _lobe()
+    sight = _Sight(model, data)
+    lobes = np.sign([(s, t, 1.0) for s, t in _CORNERS])[:, None] * _lobe()  # mirrored: symmetry
     for weld in np.unique(welds):
         mine = np.flatnonzero(welds == weld)
         geoms = np.unique(facets["geom"][mine])
@@ -172,18 +174,46 @@ def exposures(model: mujoco.MjModel, data: mujoco.MjData, facets: np.ndarray) ->
             n, (first, second), width = normals[row], edges[row], facets["width"][row]
             start = points[row] + (bulges[k] + _TOUCH * width) * n
             axes = np.vstack([_axes_across(n, first), n])
-            met = []
-            for s, t in _CORNERS:
-                at = start + s * first + t * second
-                rays = (directions * np.sign((s, t, 1.0))) @ axes  # mirrored, for symmetry
-                arc = hinge and hinge.frame(at)
-                for ray in sight.not_free(at, rays) if arc is None else rays:
-                    met.append(sight.walls(at, ray, arc, facets["geom"][row], width))
+            corners, own = start + _CORNERS @ (first, second), (facets["geom"][row], width)
+            met = [sight.walls(*ray, *own) for ray in sight.not_free(corners, lobes @ axes, hinge)]
             if met:
-                share = np.sum(met, axis=0) / (len(_CORNERS) * len(directions))
+                share = np.sum(met, axis=0) / lobes[..., 0].size
                 share[1:] *= 1.0 - share[0]
                 exposed[row] = np.prod(1.0 - share)
     return exposed
+
+
+class _Hinge(NamedTuple):
+    """A hinge in the frame of its rigid body."""
+
+    anchor: np.ndarray
+    axis: np.ndarray
+
+    def arcs(
+        self, starts: np.ndarray, rays: np.ndarray, length: float
+    ) -> Iterator[tuple[Chords, np.ndarray]]:
+        """Yield chords and directions of arcs around it from some points; of rays, (n, k, 3).
+
+        An arc that turns by less than a chord in `length` [m] is straight: one chord.
+        """
+        out = starts - self.anchor
+        out -= np.outer(out @ self.axis, self.axis)
+        radius = np.linalg.norm(out, axis=1, keepdims=True)
+        away = out / np.maximum(radius, mujoco.mjMINVAL)
+        frames = np.stack([away, np.cross(self.axis, away), np.broadcast_to(self.axis, out.shape)])
+        outward, around, along = np.einsum("fni,nki->fnk", frames, rays)[..., None]
+        turn, radii = np.abs(around), radius[:, None]
+        straight = (turn * length < _CHORD * radii) | (radii <= mujoco.mjMINVAL)
+        turn, radii = np.maximum(turn, mujoco.mjMINVAL), np.maximum(radii, mujoco.mjMINVAL)
+        gone = np.minimum(length, _CHORD * radii / turn) * np.arange(_CHORDS + 1)
+        angle, far = around * gone / radii, radii + outward * gone
+        ends = np.stack([far * np.cos(angle), far * np.sin(angle), along * gone], -1)
+        ends = ends @ frames.swapaxes(0, 1)[:, None] + (starts - out)[:, None, None]
+        ends[:, :, 0] = starts[:, None]
+        vectors = np.diff(ends, axis=2)
+        for at in np.ndindex(rays.shape[:2]):
+            arc = [*zip(ends[at][:-1], vectors[at], strict=True)]
+            yield [(starts[at[0]], length * rays[at])] if straight[at] else arc, rays[at]
 
 
 class _Sight:
@@ -202,14 +232,27 @@ class _Sight:
         far = np.linalg.norm(self._data.geom_xpos[geoms], axis=1) + self._model.geom_rbound[geoms]
         self._size = float(far.max())
 
-    def not_free(self, at: np.ndarray, rays: np.ndarray) -> np.ndarray:
-        """Return the rays from a point that hit something."""
-        hit, far = np.zeros(len(rays), np.int32), np.zeros(len(rays))
-        mujoco.mj_multiRay(
-            self._model, self._data, at, rays.ravel(), _SHOWN, True, -1, hit, far, None, len(rays),
-            mujoco.mjMAXVAL,
-        )  # fmt: skip
-        return rays[hit >= 0]
+    def not_free(
+        self, starts: np.ndarray, rays: np.ndarray, hinge: _Hinge | None
+    ) -> Iterator[tuple[Chords, np.ndarray]]:
+        """Yield the rays from some points, shape (n, k, 3), that hit something, and their chords.
+
+        They are straight, in one chord, without a hinge, and else run in arcs around it.
+        """
+        length, many = 2.0 * self._size, rays.shape[1]
+        hit, far = np.zeros(many, np.int32), np.zeros(many)
+        if hinge is not None:
+            for chords, ray in hinge.arcs(starts, rays, length):
+                if any(0.0 <= self._first(*chord)[0] <= 1.0 for chord in chords):
+                    yield chords, ray
+            return
+        for at, some in zip(starts, rays, strict=True):
+            mujoco.mj_multiRay(
+                self._model, self._data, at, some.ravel(), _SHOWN, True, -1, hit, far, None, many,
+                mujoco.mjMAXVAL,
+            )  # fmt: skip
+            for ray in some[hit >= 0]:
+                yield [(at, length * ray)], ray
 
     def _first(
         self, at: np.ndarray, way: np.ndarray, group: np.ndarray = _SHOWN
@@ -234,19 +277,17 @@ class _Sight:
         self._model.geom_group[geom] = 1
         return far >= 0 and not enters
 
-    def walls(
-        self, at: np.ndarray, ray: np.ndarray, arc: Arc | None, own: int, width: float
-    ) -> np.ndarray:
+    def walls(self, chords: Chords, ray: np.ndarray, own: int, width: float) -> np.ndarray:
         """Return the walls that a ray hits, one after the other, shape (_WALLS,).
 
         A wall counts in full, 1, if as much sand is before it as before the first, and else in that
-        proportion: walls that touch are one. The ray starts at `at` from a facet of the geom `own`,
-        which has that width [m]; it is straight without an arc.
+        proportion: walls that touch are one. The ray starts in the direction `ray` from a facet of
+        the geom `own`, which has that width [m].
         """
         met, count = np.zeros(_WALLS), 0
         passed, end, nearest = 0.0, 0.0, 0.0  # distance before the chord, end of the last wall [m]
         touch = _TOUCH * width
-        for here, way in _chords(at, ray, arc, self._size):
+        for here, way in chords:
             length = math.sqrt(way @ way)
             x, step = 0.0, touch / length
             while x < 1.0 and count < _WALLS:
@@ -278,45 +319,12 @@ class _Sight:
         return met
 
 
-class _Hinge(NamedTuple):
-    """A hinge in the frame of its rigid body."""
-
-    anchor: np.ndarray
-    axis: np.ndarray
-
-    def frame(self, at: np.ndarray) -> Arc:
-        """Return the start of arcs from a point."""
-        out = at - self.anchor
-        out = out - (out @ self.axis) * self.axis
-        axes = _axes_across(self.axis, out)
-        return math.sqrt(out @ out), np.stack([*axes, self.axis])
-
-
 def _hinge(model: mujoco.MjModel, weld: int) -> _Hinge | None:
     """Return the hinge of a rigid body that turns on one, in a carriage on its other joints."""
     joint = model.body_jntadr[weld] + model.body_jntnum[weld] - 1
     if model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_HINGE:
         return None
     return _Hinge(model.jnt_pos[joint].copy(), model.jnt_axis[joint].copy())
-
-
-def _chords(
-    at: np.ndarray, ray: np.ndarray, arc: Arc | None, size: float
-) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield the chords of a ray, starts and vectors [m]: one, or those of an arc around a hinge."""
-    length = 2.0 * size
-    radius, axes = arc or (0.0, np.eye(3))
-    out, around, along = (axes @ ray).tolist()
-    if abs(around) * length < _CHORD * radius or radius == 0.0:
-        yield at, length * ray
-        return
-    step, begin = min(length, _CHORD * radius / abs(around)), at
-    middle = at - radius * axes[0]
-    for k in range(1, _CHORDS + 1):
-        angle, far = around * k * step / radius, radius + out * k * step
-        end = middle + (far * math.cos(angle), far * math.sin(angle), along * k * step) @ axes
-        yield begin, end - begin
-        begin = end
 
 
 def _lobe() -> np.ndarray:
