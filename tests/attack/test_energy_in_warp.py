@@ -69,7 +69,6 @@ def draw(number: int) -> ModelCase:
 def run(case: ModelCase) -> Result:
     """Step a model, and check the work of the sand in each step."""
     wp.config.log_level = wp.LOG_ERROR
-    wp.config.optimization_level = 1  # compiles in two thirds of the time
     result = Result()
     rng = np.random.default_rng(case.number)
     model = coupled(mujoco.MjSpec.from_string(case.xml)).compile()

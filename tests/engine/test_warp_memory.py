@@ -37,7 +37,6 @@ def warp():
     import warp as wp
 
     wp.config.log_level = wp.LOG_ERROR
-    wp.config.optimization_level = 1  # compiles in two thirds of the time
     from mjgranular import warp as sand_for_warp
 
     return sand_for_warp

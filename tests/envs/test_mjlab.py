@@ -35,7 +35,6 @@ from mjgranular.errors import UnfeltWarning
 from mjgranular.envs.mjlab import on_sand, sand_of
 
 wp.config.log_level = wp.LOG_ERROR
-wp.config.optimization_level = 1  # compiles in two thirds of the time
 torch.manual_seed(0)
 cfg = load_env_cfg("Sand-Go1")
 cfg.scene.num_envs = 3

@@ -30,7 +30,6 @@ def warp_env():
     import warp as wp
 
     wp.config.log_level = wp.LOG_ERROR
-    wp.config.optimization_level = 1  # compiles in two thirds of the time
     from mjgranular.envs import WarpVectorEnv
 
     return WarpVectorEnv
@@ -51,7 +50,7 @@ def test_episodes_are_those_of_the_processor(warp_env):
         np.testing.assert_allclose(told[0][name], told[1][name], rtol=1e-12)
     random = np.random.default_rng(0)
     ends, forces, powers = 0, [], []
-    for step in range(520):
+    for step in range(300):
         action = 0.3 * random.uniform(-1, 1, envs[0].action_space.shape)
         one, other = (env.step(action) for env in envs)
         positions = slice(0, 5)  # velocities turn round within steps
@@ -71,7 +70,7 @@ def test_episodes_are_those_of_the_processor(warp_env):
         forces.append([out[4]["sand/force"] for out in (one, other)])
         assert not one[4]["sand/lost"].any()
         powers.append(one[4]["sand/power"])
-    assert ends >= 24
+    assert ends >= 14
     assert np.max(powers) <= -1e-6 * np.min(powers)  # some roundings of single precision
     # A foot at rest touches in some steps and not in others, and not in the same ones in single
     # precision. So one step's force says little, and the means agree within their standard error.
