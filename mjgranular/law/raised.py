@@ -1,8 +1,7 @@
 """Static resistance beyond that of depth: of stagnant sand under flat faces, and of fast shear.
 
 Both (docs/laws/rft.md, "Faster motion") are factors on the static resistance of a facet, known from
-its position and motion at the start of a step. So they do not change how a law holds a body at
-rest: only its limits change.
+its position and motion at the start of a step: they change limits, not how a law holds at rest.
 """
 
 import math
