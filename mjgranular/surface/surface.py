@@ -70,7 +70,7 @@ class Surface(ABC):
 
         It rises along its normal. Each change has the shape of its field.
         """
-        raise InputError(f"a surface of the kind {type(self).__name__} cannot be moved")
+        raise InputError(f"{type(self).__name__} cannot be raised: give it a method lift")
 
     @property
     def state_size(self) -> int:

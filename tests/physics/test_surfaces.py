@@ -645,3 +645,8 @@ def test_a_custom_surface_is_checked(changed, said):
     surface = type("Steep", (Steep,), changed)()
     with pytest.raises(InputError, match=said):
         Sand(scene(""), law=LAWS["rft3d"], surface=surface)
+
+
+def test_a_custom_surface_without_lift_cannot_be_tuned():
+    with pytest.raises(InputError, match=r"^Steep cannot be raised: give it a method lift$"):
+        Steep().lift(scene(""))
