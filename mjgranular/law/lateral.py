@@ -1,30 +1,8 @@
 """Lateral strength of sand, passive pressure instead of bearing, and what measured plates meet.
 
-A fit of resistive force theory has one ratio of lateral to vertical strength for all sand: an
-upright plate that is dragged meets 0.219 of the stress of a level one that is pushed down. Passive
-pressure on a rough wall (R. Lancellotta, Geotechnique 52, 617, 2002) over bearing capacity
-(Prandtl, Reissner) gives a ratio for every friction angle phi,
-
-    R = (1 - sin phi) exp(-(pi/2 - phi) tan phi),                                      (S1)
-
-and the stagnant cone (`law.raised`), which provides part of the resistance to a vertical push, is
-absent in lateral motion. So the normal part of a stress is multiplied by G, and the tangential part
-by T:
-
-    G = 1 + (L (1 + c^8)/2 - 1) (1 - u_z^2) (1 - n_z^2),    L = (1 + cone) R/0.219,    (S2)
-    T = 1 + (min(L/2 - 1, 0) (1 - c^8) + min(L - 1, 0) c^8) (1 - u_z^2) (1 - n_z^2),   (S3)
-
-with the normal n, the direction of motion u and c = max(n.u, 0). So friction on the face does not
-grow with the normal part, and T <= G for any L: a dissipative stress stays dissipative. Vertical
-motion and level faces are unchanged. The brackets are chosen, by dragged bodies in simulated
-grains, legs and a robot (docs/laws/rft.md).
-
-**Plates** in the five media of Li, Zhang and Goldman, Science 339, 1408 (2013), are resisted less
-than in that fit if they are tilted and move up or down, and more if they lead by a small angle, but
-do not move horizontally. The stress is multiplied by K J,
-
-    K = 1 - 0.3 (4 n_z^2 (1 - n_z^2)) (1 - (1 - u_z^2)^2),                             (S4)
-    J = 1 + n_z^2 (1 - (n.u)^2)^8 (1 - (1 - u_z^2)^8).                                 (S5)
+The normal part of a stress is multiplied by G (S2), the tangential part by T (S3), and both by K J
+(S4, S5). docs/laws/rft.md, "Faster motion", derives the factors. T <= G for any L, so a dissipative
+stress stays dissipative. With the normal n and the direction of motion u, c is max(n.u, 0).
 """
 
 import math

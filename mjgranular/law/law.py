@@ -26,9 +26,6 @@ laws: Registry[type["Law"]] = Registry("law", "import its module; commands: --la
 class Law(ABC):
     """Resistance of sand. A final law is a frozen dataclass of its parameters.
 
-    When a law is bound to a model, its elements are made from the geoms, its parameters and the
-    surface become one record, and its kernel is chosen. Each step runs the kernel only.
-
     Attributes:
         name: name in the registry.
         title: one line for lists.

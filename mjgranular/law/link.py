@@ -1,14 +1,8 @@
 """The link law of Lee and Marghitu: static resistance by depth, drag by velocity squared.
 
-The paper writes it for a link in a vertical plane. In three dimensions, with n the normal of the
-surface: "vertical" is along n; "horizontal" is along the surface, and the horizontal static force
-opposes the direction of the tangential velocity of E, the centroid of the immersed part; the angle
-in the reference area is that between the rod's axis and the velocity of E; the immersed length is
-at most that of the rod; the deeper end of the rod is its end T. In the plane this is the paper's
-law.
-
 There are two forms: lumped, the paper's own, with one force on the whole rod; and distributed, with
-the same totals in pure translation but spread along the axis, which also resists rotation.
+the same totals in pure translation but spread along the axis, which also resists rotation. How the
+paper's law for a vertical plane is written in three dimensions: docs/laws/link.md.
 """
 
 import math

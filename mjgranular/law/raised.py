@@ -1,20 +1,7 @@
 """Static resistance beyond that of depth: of stagnant sand under flat faces, and of fast shear.
 
-Both are factors on the static resistance of a facet, known from its position and motion at the
-start of a step. So they do not change how a law holds a body at rest: only its limits change.
-
-**Stagnant sand.** Under a flat face that is pushed down, sand stagnates in a cone (Terzaghi) and
-moves with the face. The cone meets the resistance, and it is deeper than the face. Its slope is
-pi/4 + phi/2 with the friction angle phi, so its mean depth below a face of width w is w tan(pi/4 +
-phi/2)/6. Kang, Feng, Liu and Blumenfeld (Nature Communications 9, 1101, 2018) measured that: force
-against depth is a line with a positive intercept, after a rise over which the cone forms. A face
-that moves obliquely leaves the cone behind: it counts by the square of the motion's vertical part
-(chosen: plates pushed obliquely into simulated grains, referee/data/oblique, and a walking robot).
-
-**Fast shear.** Friction between grains grows with the inertial number I of the flow around the
-facet: mu(I) = mu + rate I / (I + I_0) (Jop, Forterre and Pouliquen, Nature 441, 727, 2006), with I
-= (|v|/w) d sqrt(rho_s / P), grains of diameter d and density rho_s, and for the pressure P the
-facet's resistance, xi_n z. The resistance is proportional to the cubic xi_n(mu) (`Rft3dLaw`).
+Both (docs/laws/rft.md, "Faster motion") are factors on the static resistance of a facet, known from
+its position and motion at the start of a step: they change limits, not how a law holds at rest.
 """
 
 import math

@@ -46,7 +46,7 @@ class RftLaw(Law):
             (alpha n + beta u + gamma z)`; and the factors' derivatives by u.z, by n.z and by n.u,
             three vectors.
         density: bulk density, for `record` [kg/m^3].
-        inertia: lambda of the dynamic term.
+        inertia: lambda of the dynamic term; the law's record has lambda rho [kg/m^3] (`record`).
         added: kappa of the added mass; a law without it omits the field.
         cone: mean depth of stagnant sand under flat faces, in widths (`law.raised`); optional.
         rate: rise of friction from slow flow to fast; optional.

@@ -1,14 +1,7 @@
 """The secant of a force: damping that equals it at one velocity, and dissipates at any other.
 
-A force F(v) that opposes the velocity has secants, positive semidefinite symmetric matrices with
-C v = -F(v):
-
-    C = F F^T / -(F.v) + P S P,    P = 1 - v v^T / |v|^2 .
-
-The first term alone would suffice. The second adds resistance in other directions: S is the change
-of the force when the motion turns, the symmetric part of -dF/dv, and in no direction less than
-|F| / |v|. A force -C v' at another velocity v' dissipates energy for any v', and equals the law's
-own if v' is v. Both engines use this secant (`scheme.damping`, `warp.damping`).
+docs/scheme.md, "Damping", has the formula of the secant C, for which C v = -F(v). Both engines use
+it (`scheme.damping`, `warp.damping`).
 """
 
 import math

@@ -13,6 +13,7 @@ from mjgranular.errors import CostWarning, GranularWarning, InputError
 from mjgranular.kernel.compiled import program_addresses
 from mjgranular.law import Law, make_scene
 from mjgranular.law.kernel import LawKernel
+from mjgranular.law.rules import check_rules
 from mjgranular.medium import Medium
 from mjgranular.relief.footprint import Footprint, fitting, footprint_of, surroundings_of
 from mjgranular.relief.memory import Memory, as_memory
@@ -139,6 +140,8 @@ def prepare(model: mujoco.MjModel, spec: SandSpec, *, within: bool = False) -> P
         (scheme.forces(kernel, scene.dtype), FORCES, f"{law_name}, {scheme_name}"),
         (scheme.program(kernel, scene.dtype), STEP, scheme_name if sampling else parts),
     )
+    if memory is None:
+        check_rules(law, kernel, elements, scene, model)
     return PreparedSand(
         **vars(replace(chosen, surface=surface)),
         scheme=scheme,

@@ -1,19 +1,7 @@
 """Momentum of the sand that moves with elements (added mass), taken implicitly.
 
-Derivation and proof of passivity: docs/laws/rft.md, "Sand that moves along". In short: in front of
-an element with the outward normal n a mass m of sand moves at s = max(n.v, 0). In a step the
-element pays for the momentum that its sand gains,
-
-    h a = m' s_b - m s',    f_total = f + a n,                                    (A2), (A3)
-
-where s' belongs to the unknown velocity, and m' s_b is the momentum of this sand at the end of the
-last step: its mass was m' then, and its speed is reduced so that the energy of a body's sand does
-not exceed that before the body turned in the last step (A4). Sand has no tension: where a is
-positive, decelerating sand returns momentum, which reduces its resistance, at most to zero,
-
-    a <= min(-n.f, -f.v'/s').                                                     (A5)
-
-So an element never takes energy from the sand, for any motion.
+Derivation, equations (A2) to (A5) and proof of passivity: docs/laws/rft.md, "Sand that moves
+along". No element takes energy from the sand, for any motion.
 """
 
 import math

@@ -1,16 +1,8 @@
 """MuJoCo's constraints in the balance of momentum, as the implicit scheme predicts them.
 
-They are soft: the force of a row J_i is a function of the acceleration along it, within bounds,
-
-    q_c = sum_i J_i^T f_i,    f_i = -D_i x_i,    x_i = J_i a - a_i^ref,
-
-where a is the acceleration without the integrator's own damping C = A - M,
-
-    M a = A (v' - v) / h,    a = K (v' - v) / h,    K = 1 + M^-1 C,
-
-and with `discrete`, which solves for them in the metric A itself, K = 1. So they add (sum_i D_i
-J_i^T J_i) K to the Jacobian of the balance. Equalities, friction losses, limits, and contacts with
-pyramidal and elliptic cones follow the engine's documentation.
+They are soft: the force of a row J_i is a function of the acceleration along it, within bounds.
+docs/scheme.md has their part q_c and its Jacobian. Equalities, friction losses, limits, and
+contacts with pyramidal and elliptic cones follow the engine's documentation.
 """
 
 import math

@@ -1,14 +1,8 @@
 """Forces as damping, by their secants: slower than Newton's method, but it never diverges.
 
-With C the secants of the forces at a velocity (`law.secant`), the balance
-
-    A (v' - v) = h (q + q_c(v') - J^T C J v')
-
-is linear except for MuJoCo's constraints, and the sand dissipates energy for any v' it gives.
-Forces and secants are then evaluated at v', and so on: a fixed point has the law's own forces. The
-iteration is extrapolated by Anderson mixing of depth one (D. G. Anderson, J. ACM 12 (1965)),
-because
-the velocity of an element that stops in the step shrinks by only a factor per iteration.
+docs/scheme.md, "Damping", has the secants (`law.secant`). With them the balance is linear except
+for MuJoCo's constraints, and the sand dissipates energy for any velocity it gives. Forces and
+secants are then evaluated there, and so on: a fixed point has the law's own forces.
 """
 
 import math

@@ -8,20 +8,8 @@ end, f the sand's forces on its elements and J their Jacobian, one step of MuJoC
 
 where A is the inertia (with the integrator's own implicit damping), q all smooth forces and q_c
 those of MuJoCo's constraints, which are coupled to the sand's. Sands that act in the same step are
-solved together: the last of them, with its own workspace, sums up the forces of all (`BESIDE`). In
-reading order:
-
-    workspace      all arrays by name, MuJoCo's and the scheme's
-    metric         A with MuJoCo's integrator `discrete`, which computes it itself
-    balance        residual R(v') and Jacobian R'(v') of this equation: nv numbers, nv x nv,
-                   for any number of elements
-    constraints    the contribution of MuJoCo's constraints
-    evaluation     both with the forces of law and surface, which are a program of their own
-    newton         Newton's method, with friction multipliers
-    damping        forces as damping: slower, but never diverges
-    solver         which of the two runs from which velocity, and how soft rest is: friction grows
-                   to its limit over a speed far below anything visible
-    passivity      where they stop early: no energy from the sand
+solved together: the last of them, with its own workspace, sums up the forces of all (`BESIDE`).
+docs/architecture.md has the modules in reading order, docs/scheme.md the equations.
 
 The scheme carries no state from step to step: the force is a function of MuJoCo's state, so that
 copied, saved or reset states continue identically, to the last bit.

@@ -1,11 +1,6 @@
 """Strategy of the search for the velocity at the end of the step, and the softness of rest.
 
-A static force that holds grows to its limit L over a small speed eps,
-
-    f = -L v / sqrt(v^2 + eps^2),    v = eps P / sqrt(L^2 - P^2) under a load P.
-
-eps is far below anything visible, and grows with joint speeds that cancel in an element's velocity:
-their rounding would dominate a smaller one.
+A force that holds a load P grows to its limit L over a small speed eps: docs/scheme.md, "Softness".
 
 Where elements hold, Newton's method starts from what each mobilized in the last step, which the
 velocities at its end still have: P / L = v / sqrt(v^2 + eps^2). These are seen in that step's

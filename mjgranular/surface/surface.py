@@ -70,7 +70,7 @@ class Surface(ABC):
 
         It rises along its normal. Each change has the shape of its field.
         """
-        raise InputError(f"a surface of the kind {type(self).__name__} cannot be moved")
+        raise InputError(f"{type(self).__name__} cannot be raised: give it a method lift")
 
     @property
     def state_size(self) -> int:
@@ -83,15 +83,20 @@ class Surface(ABC):
 
 
 @cache
-def _length_kernel(probe: Any, dtype: np.dtype) -> Any:
+def _measure_kernel(probe: Any, dtype: np.dtype) -> Any:
     place_records = records(dtype)
 
     @compiled
-    def length(address, x, y, z):
-        depth, normal = probe(place_records(address, 1)[0], vector(x, y, z))
-        return norm(normal) if depth > 0.0 else 1.0
+    def measure(address, x, y, z, step):
+        """Return the length of the normal, or how much depth falls per meter of a step along it."""
+        place, point = place_records(address, 1)[0], vector(x, y, z)
+        depth, normal = probe(place, point)
+        if depth <= 0.0 or (step > 0.0 and depth > 1e6 * step):
+            return 1.0
+        ahead, _ = probe(place, point + step * normal)
+        return (depth - ahead) / step if step > 0.0 else norm(normal)
 
-    return length
+    return measure
 
 
 def check_surface(surface: Surface, model: mujoco.MjModel) -> None:
@@ -102,12 +107,14 @@ def check_surface(surface: Surface, model: mujoco.MjModel) -> None:
         return  # has been tested; to load the kernel takes time
     check_records(f"{name}.record", record)
     check_compiled(f"{name}.probe", probe)
-    length = entry(_length_kernel(probe, record.dtype), "float64(int64, float64, float64, float64)")
-    for distance, *corner in product((1, 10, 100), *3 * [(-1, 0, 1)]):
+    measure = entry(_measure_kernel(probe, record.dtype), f"float64(int64{4 * ', float64'})")
+    for distance, *corner in product((0.1, 1, 10, 100), *3 * [(-1, 0, 1)]):
         point = model.stat.center + distance * model.stat.extent * np.array(corner)
-        found = length(record.ctypes.data, *point)
-        if abs(found - 1.0) > 1e-6:  # chosen
-            raise InputError(f"{name}.probe: normals must have length 1, got {found:.6g}")
+        length = measure(record.ctypes.data, *point, 0.0)
+        if not abs(length - 1.0) <= 1e-6:  # chosen
+            raise InputError(f"{name}.probe: normals must have length 1, got {length:.6g}")
+        if not measure(record.ctypes.data, *point, 1e-6 * model.stat.extent) > 0.0:
+            raise InputError(f"{name}.probe: depth must decrease along the normal, out of the sand")
 
 
 PLANE_DTYPE = np.dtype([("normal", np.float64, (3,)), ("offset", np.float64)])

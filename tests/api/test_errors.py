@@ -20,8 +20,9 @@ from mjgranular.errors import (
     UnknownNameError,
     UnstableError,
 )
+from mjgranular.kernel import compiled
 from mjgranular.kernel.compiler import KernelError
-from mjgranular.kernel.vector import Vector
+from mjgranular.kernel.vector import Vector, diagonal
 from mjgranular.models import Link, model_path
 
 
@@ -302,6 +303,44 @@ def test_a_custom_law_is_checked(changed, said):
     methods = {name: changed[name] for name in changed if hasattr(mg.Law, name)}
     odd = type("Odd", (mg.DepthVelocityLaw,), methods or {"kernel": kernel})(1.0, 200.0)
     with pytest.raises(InputError, match=said):
+        sand_on(world(BALL), law=odd)
+
+
+@compiled
+def reversed_derivative(blob, law, g, v, p, eps):
+    return -blob.limit * p, diagonal(blob.limit), -1.0 * v, diagonal(-1.0)
+
+
+@compiled
+def reversed_resistance(blob, law, g, v, p, eps):
+    return blob.limit * p, diagonal(blob.limit), -1.0 * v, diagonal(-1.0)
+
+
+@compiled
+def reversed_drag(blob, law, g, v, p, eps):
+    return -blob.limit * p, diagonal(-blob.limit), v, diagonal(1.0)
+
+
+@compiled
+def infinite_drag(blob, law, g, v, p, eps):
+    return -blob.limit * p, diagonal(-blob.limit), (-1.0 / g / 0.0) * v, diagonal(0.0)
+
+
+@pytest.mark.parametrize(
+    ("respond", "said"),
+    [
+        (reversed_derivative, r"a derivative by p that, times p, .* a relative error of 2$"),
+        (reversed_resistance, "a static resistance that opposes the motion, got the reverse$"),
+        (reversed_drag, "a drag that opposes the motion, got the reverse$"),
+        (infinite_drag, "finite forces, got -inf N$"),
+    ],
+)
+def test_the_forces_of_a_custom_law_are_checked(respond, said):
+    def kernel(self, surface):
+        return dataclasses.replace(mg.DepthVelocityLaw.kernel(self, surface), respond=respond)
+
+    odd = type("Odd", (mg.DepthVelocityLaw,), {"kernel": kernel})(1.0, 200.0)
+    with pytest.raises(InputError, match=f"^Odd: respond must return {said}"):
         sand_on(world(BALL), law=odd)
 
 

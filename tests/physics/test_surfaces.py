@@ -605,6 +605,17 @@ def steep_probe(steep, point):
     return point.x - point.z, vector(-1.0, 0.0, 1.0)
 
 
+@compiled
+def reversed_probe(steep, point):
+    """The sand is above z = 0: depth grows along the normal."""
+    return point.z, vector(0.0, 0.0, 1.0)
+
+
+@compiled
+def undefined_probe(steep, point):
+    return math.sqrt(-1.0 - point.z * point.z), vector(0.0, 0.0, 1.0)
+
+
 @dataclasses.dataclass(frozen=True)
 class Steep(Surface):
     probe = steep_probe
@@ -620,6 +631,8 @@ class Steep(Surface):
     ("changed", "said"),
     [
         ({}, r"^Steep.probe: normals must have length 1, got 1.41421$"),
+        ({"probe": reversed_probe}, r"^Steep.probe: depth must decrease along the normal, out"),
+        ({"probe": undefined_probe}, r"^Steep.probe: depth must decrease along the normal, out"),
         ({"probe": None}, r"^Steep.probe must be compiled.* got None$"),
         ({"probe": steep_probe.py_func}, r"^Steep.probe must be compiled.* got .*steep_probe$"),
         (
@@ -632,3 +645,8 @@ def test_a_custom_surface_is_checked(changed, said):
     surface = type("Steep", (Steep,), changed)()
     with pytest.raises(InputError, match=said):
         Sand(scene(""), law=LAWS["rft3d"], surface=surface)
+
+
+def test_a_custom_surface_without_lift_cannot_be_tuned():
+    with pytest.raises(InputError, match=r"^Steep cannot be raised: give it a method lift$"):
+        Steep().lift(scene(""))
