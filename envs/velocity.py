@@ -157,11 +157,11 @@ class Go1Velocity(Task):
     and turn at up to that in rad/s.
 
     At first, for a time drawn from `settling_time`, the command is to stand: a robot that is put
-    down sinks until its feet carry it, a Go1 by 8 cm in weak sand. Then a command holds for 3 to 8
-    s. One of ten is to stand, one of five to walk straight ahead, at 0.3 m/s or more. Every 1 to 3
-    s a push changes the trunk's velocity by up to `push_scale` times 0.5 m/s along x and y, 0.4 m/s
-    along z, 0.52 rad/s in roll and pitch and 0.78 rad/s in yaw. There are 7 more commands and 20
-    pushes, enough for 20 s: in longer episodes the last command holds.
+    down sinks until its feet carry it, a Go1 by 8 cm in weak sand. Then a command holds for three
+    to eight seconds. One of ten is to stand, one of five to walk straight ahead, at 0.3 m/s or
+    more. Every one to three seconds a push changes the trunk's velocity by up to `push_scale` times
+    0.5 m/s along x and y, 0.4 m/s along z, 0.52 rad/s in roll and pitch and 0.78 rad/s in yaw.
+    There are 7 more commands and 20 pushes, enough for 20 s: later the last command holds.
 
     Torques of all motors, and their limits, are those of the data sheet times a factor that is
     drawn from `motor_strength`. Targets of the motors come late by a number of steps of 0.02 s that

@@ -9,7 +9,7 @@ end, f the sand's forces on its elements and J their Jacobian, one step of MuJoC
 where A is the inertia (with the integrator's own implicit damping), q all smooth forces and q_c
 those of MuJoCo's constraints, which are coupled to the sand's. Sands that act in the same step are
 solved together: the last of them, with its own workspace, sums up the forces of all (`BESIDE`).
-docs/architecture.md has the modules in reading order, docs/scheme.md the equations.
+docs/architecture.md has the modules in reading order; the equations are in docs/scheme.md.
 
 The scheme carries no state from step to step: the force is a function of MuJoCo's state, so that
 copied, saved or reset states continue identically, to the last bit.

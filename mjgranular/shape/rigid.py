@@ -5,7 +5,7 @@ Both depend on all geoms that are welded together: dividing a body into more of 
 
 import copy
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import mujoco
@@ -46,7 +46,7 @@ _SHOWN, _ALONE = (np.array(groups, np.uint8) for groups in ([1, 1, 0, 0, 0, 0], 
 _MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
 _RODS = (int(mujoco.mjtGeom.mjGEOM_CAPSULE), int(mujoco.mjtGeom.mjGEOM_CYLINDER))
 
-Chords = Iterable[tuple[np.ndarray, np.ndarray]]
+Chords = Sequence[tuple[np.ndarray, np.ndarray]]
 """Begins and vectors of the chords of a ray [m]."""
 
 

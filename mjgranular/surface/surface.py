@@ -91,7 +91,7 @@ def _measure_kernel(probe: Any, dtype: np.dtype) -> Any:
         """Return the length of the normal, or how much depth falls per meter of a step along it."""
         place, point = place_records(address, 1)[0], vector(x, y, z)
         depth, normal = probe(place, point)
-        if depth <= 0.0 or (step > 0.0 and depth > 1e6 * step):
+        if depth <= 0.0 or (step > 0.0 and depth > 1e6 * step):  # deeper than the model
             return 1.0
         ahead, _ = probe(place, point + step * normal)
         return (depth - ahead) / step if step > 0.0 else norm(normal)
