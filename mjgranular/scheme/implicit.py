@@ -42,7 +42,7 @@ from mjgranular.scheme.metric import is_unsupported, make_metric
 from mjgranular.scheme.passivity import passive_share
 from mjgranular.scheme.sampling import sampling_program
 from mjgranular.scheme.scheme import BAD_METRIC, FINE, Scheme, Workspace, check_options
-from mjgranular.scheme.solver import find_velocity, lane_vector
+from mjgranular.scheme.solver import UNFINISHED, find_velocity, lane_vector
 from mjgranular.scheme.workspace import (
     DISCRETE,
     make_workspace,
@@ -52,7 +52,6 @@ from mjgranular.scheme.workspace import (
 )
 from mjgranular.scheme.wrenches import add_wrenches, find_bad_wrench, withdraw_wrenches
 
-_UNFINISHED = 1e-6  # relative residual of the momentum above which a step counts as unfinished
 _NOTHING = 1e-150  # smallest momentum to divide by
 
 
@@ -274,7 +273,7 @@ def count_step(statistics, done, error):
     statistics.steps += 1
     statistics.evaluations += done
     statistics.most = max(statistics.most, done)
-    statistics.unfinished += not error <= _UNFINISHED
+    statistics.unfinished += not error <= UNFINISHED
     statistics.residual = error
     statistics.worst = max(statistics.worst, error)
 

@@ -5,7 +5,7 @@ A force that holds a load P grows to its limit L over a small speed eps: docs/sc
 Where elements hold, Newton's method starts from what each mobilized in the last step, which the
 velocities at its end still have: P / L = v / sqrt(v^2 + eps^2). These are seen in that step's
 configuration (`balance.find_last_motions`); in today's they are disturbed by joints that turn.
-Newton's method finds nearly all velocities. Where it diverges, forces are treated as damping
+Newton's method finds nearly all velocities. Where it fails, forces are treated as damping
 (`scheme.damping`) until it converges; if it never does, the step uses that damping.
 """
 
@@ -35,9 +35,8 @@ _SOFT_SHARE = 1e-6
 # the momentum. Chosen; at rest a step starts with the multipliers of its velocities, and after
 # 1e-12, a tenth of the softness for gravity's 0.1 m/s per step, with wrong ones.
 _AT_REST, _IN_MOTION = 1e-13, 1e-8
-# Relative residual above which Newton's method has diverged. A smaller one may be a discontinuity
-# of the law itself. Chosen.
-_LOST = 1e-3
+UNFINISHED = 1e-6  # relative residual above which a step counts as unfinished; chosen
+_NEAR = 1e-3  # relative residual below which one more try is made with a larger softness; chosen
 _TURNED = 0.1  # square of the difference between a multiplier and its velocity's; chosen
 # Speed, relative to what the step would change without sand, below which all elements may hold.
 # Chosen: a smaller one takes more evaluations for robots that stand, a larger one for robots that
@@ -80,7 +79,7 @@ def find_velocity(table, w):
     loose = max(coarse, fine)
     more, error = newton(table, w, Search(FRESH, loose, fine, goal, _STEPS, math.inf))
     done += more
-    if goal < error <= _LOST * w.scale:
+    if goal < error <= _NEAR * w.scale:
         # Bodies that start to move in this step have more rounding than their velocity showed.
         moved = softness(table, w, velocity)
         if moved > _BEGUN * fine:
@@ -89,10 +88,10 @@ def find_velocity(table, w):
             loose = max(coarse, fine)
             more, error = newton(table, w, Search(SAME, fine, fine, goal, _STEPS_SOFT, math.inf))
             done += more
-    if error <= _LOST * w.scale:
+    if error <= UNFINISHED * w.scale:
         return done, error / w.scale
 
-    # Diverged: damping leads close to the solution, and Newton's method starts over from there.
+    # Damping leads close to the solution, and Newton's method starts over from there.
     copy(velocity, w.start)
     while True:
         error = damp(table, w, fine, _STEPS_DAMPED)
@@ -102,7 +101,7 @@ def find_velocity(table, w):
         copy(w.near, velocity)
         more, error = newton(table, w, Search(FRESH, fine, fine, goal, _STEPS_FROM_NEAR, math.inf))
         done += more
-        if error <= _LOST * w.scale:
+        if error <= UNFINISHED * w.scale:
             return done, error / w.scale
         copy(velocity, w.near)
 
