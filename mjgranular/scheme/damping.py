@@ -18,20 +18,23 @@ FURTHEST = 3.0
 last two. Chosen; steps in MuJoCo Warp are alike with 1 and 10. Never negative (between the two):
 that increases the error of a box sliding to a stop by half."""
 
+DAMPINGS = 8
+"""Iterations of `damp`. Chosen."""
 
-@partial(compiled, merge=True)
-def damp(table, w, eps, steps):
+
+@compiled
+def damp(table, w, eps):
     """Iterate from `w.velocity`; end at a velocity where damping balances the momenta.
 
-    Return the residual with the law's own forces, one of the `steps` iterations before the last.
+    Return the residual with the law's own forces, one iteration before the last.
     """
     error = 0.0
-    for step in range(steps):
+    for step in range(DAMPINGS):
         error, _ = evaluate(table, w, DAMP, eps, FRESH, eps)
         solved = solve(w.jacobian, w.residual, w.change)
         if not (solved and inner(w.change, w.change) < math.inf):  # forces that are not finite
             break
-        beyond = beyond_the_last(w) if 0 < step < steps - 1 else 0.0
+        beyond = beyond_the_last(w) if 0 < step < DAMPINGS - 1 else 0.0
         copy(w.gap, w.change)
         add_scaled(w.velocity, -1.0, w.change)
         for j in range(w.nv):

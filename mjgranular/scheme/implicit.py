@@ -61,13 +61,13 @@ class Implicit(Scheme):
 
     Attributes:
         evaluations: limit on evaluations of all forces per step. If the law's forces are not found
-            by then, the step uses damping close to them, and is counted (`Report.solver`).
+            by then, the step uses softer ones, and is counted (`Report.solver`).
     """
 
     name: ClassVar[str] = "implicit"
     whole_state: ClassVar[bool] = True
 
-    evaluations: int = 160
+    evaluations: int = 320
 
     def __post_init__(self) -> None:
         check_count("Implicit: evaluations", self.evaluations)

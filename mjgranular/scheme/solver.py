@@ -6,7 +6,8 @@ Where elements hold, Newton's method starts from what each mobilized in the last
 velocities at its end still have: P / L = v / sqrt(v^2 + eps^2). These are seen in that step's
 configuration (`balance.find_last_motions`); in today's they are disturbed by joints that turn.
 Newton's method finds nearly all velocities. Where it fails, forces are treated as damping
-(`scheme.damping`) until it converges; if it never does, the step uses that damping.
+(`scheme.damping`), from which it starts over, and then the solution is followed from soft forces to
+hard ones (`harden`).
 """
 
 import math
@@ -18,7 +19,7 @@ from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.memory import BESIDE, WORKSPACE, table_at
 from mjgranular.kernel.vector import cross, norm, read_vector, vector
 from mjgranular.scheme.balance import find_last_motions, find_motions
-from mjgranular.scheme.damping import damp
+from mjgranular.scheme.damping import DAMPINGS, damp
 from mjgranular.scheme.dense import copy
 from mjgranular.scheme.forces import FRESH, LAST, SAME
 from mjgranular.scheme.layout import ARM
@@ -43,10 +44,15 @@ _TURNED = 0.1  # square of the difference between a multiplier and its velocity'
 # are driven at random.
 _SLOW = 0.1
 _BEGUN = 10.0  # largest ratio of the softness at the velocity found for which it is retried
-# Limits for Newton's method: from rest, in motion, with a softer rest and after damping; and for
-# damping. Not literals: numba would compile a function for each. Chosen.
-_STEPS_NEAR, _STEPS, _STEPS_SOFT, _STEPS_FROM_NEAR = (np.int64(n) for n in (8, 40, 6, 12))
-_STEPS_DAMPED = np.int64(8)
+# Limits for Newton's method: from rest, in motion, with another softness, after damping, and to
+# evaluate only. Not literals: numba would compile a function for each. Chosen.
+_STEPS_NEAR, _STEPS, _STEPS_SOFT, _STEPS_FROM_NEAR, _NO_STEPS = map(np.int64, (8, 40, 6, 12, 0))
+_ROUNDS = 3  # of damping and Newton's method; chosen
+# The path of the solution from soft to hard forces (`harden`): the softness at its beginning, in
+# parts of the speeds, and the factor by which it grows if there is no solution; the least ratio of
+# one softness to the last, and the steps of Newton's method after which it falls; the residual of
+# solutions on the way. All chosen.
+_SOFTEST, _SOFTER, _SHARE, _FEW, _ON_PATH = 3.0, 100.0, 0.1, 4, 1e-7
 
 
 @partial(compiled, merge=True)
@@ -93,17 +99,61 @@ def find_velocity(table, w):
 
     # Damping leads close to the solution, and Newton's method starts over from there.
     copy(velocity, w.start)
-    while True:
-        error = damp(table, w, fine, _STEPS_DAMPED)
-        done += _STEPS_DAMPED
+    for _ in range(_ROUNDS):
         if done >= w.evaluations:
-            return done, error / w.scale
+            break
+        damp(table, w, fine)
         copy(w.near, velocity)
         more, error = newton(table, w, Search(FRESH, fine, fine, goal, _STEPS_FROM_NEAR, math.inf))
-        done += more
+        done += DAMPINGS + more
         if error <= UNFINISHED * w.scale:
             return done, error / w.scale
         copy(velocity, w.near)
+    more, error = harden(table, w, loose, fine, goal, w.evaluations - done)
+    return done + more, error / w.scale
+
+
+@compiled
+def harden(table, w, coarse, fine, goal, most):
+    """Follow the solution from a large softness, where it is nearly linear, down to `fine`.
+
+    After `most` evaluations the step is made with the softness reached, or as damping if there is
+    none. Return the evaluations and the residual of the law's own forces.
+    """
+    velocity, near, before = w.velocity, w.near, w.found
+    copy(near, w.start)
+    find_motions(w, near)
+    eps, share = _SOFTEST * (fastest(table, w) + coarse), _SHARE
+    reached = last = math.inf  # the softness at `near` and at `before`
+    done = 0
+    while done < most:
+        # Extrapolated linearly: what holds moves in proportion to the softness.
+        beyond = (eps - reached) / (reached - last) if last < math.inf else 0.0
+        for j in range(w.nv):
+            velocity[j] = near[j] + beyond * (near[j] - before[j])
+        loose = eps if last < math.inf else min(reached, _SOFTER * eps)
+        target = goal if eps == fine else _ON_PATH * w.scale
+        more, error = newton(table, w, Search(FRESH, loose, eps, target, _STEPS_SOFT, math.inf))
+        done += more
+        if error <= UNFINISHED * w.scale:
+            if eps == fine:
+                return done, error
+            copy(before, near)
+            copy(near, velocity)
+            last, reached = reached, eps
+            share = max(_SHARE, share**1.5) if more <= _FEW else share
+        elif reached < math.inf:
+            share = math.sqrt(share)
+        else:
+            eps *= _SOFTER
+            continue
+        eps = max(fine, share * reached)
+    copy(velocity, near)
+    if reached == math.inf:
+        return done, damp(table, w, fine)
+    _, error = newton(table, w, Search(FRESH, fine, fine, goal, _NO_STEPS, math.inf))
+    newton(table, w, Search(FRESH, reached, reached, goal, _NO_STEPS, math.inf))
+    return done, error
 
 
 @compiled

@@ -31,7 +31,7 @@ class Solver:
         evaluations: evaluations of all forces, summed over these steps.
         most: the largest number of evaluations in one step.
         unfinished: steps in which the law's forces leave more than a millionth of the momentum
-            scale unbalanced; they use a damping near these forces, which dissipates energy.
+            scale unbalanced; they use softer forces, which dissipate energy.
         residual: unbalanced momentum of the last step, in parts of the momentum scale; or inf.
         worst: largest residual of all steps.
     """
@@ -121,8 +121,8 @@ _OWN = {
     "constraint": (_F, ("nv",)),  # h q_c
     "residual": (_F, ("nv",)),  # R
     "change": (_F, ("nv",)),  # of the velocity, in a step of Newton's method
-    "near": (_F, ("nv",)),  # velocity found by damping
-    "found": (_F, ("nv",)),  # solution of its last linear balance
+    "near": (_F, ("nv",)),  # velocity found by damping, or with a larger softness
+    "found": (_F, ("nv",)),  # solution of the last linear balance, or of the softness before
     "gap": (_F, ("nv",)),  # distance from there to the velocity evaluated
     "rate": (_F, ("nv",)),  # (v' - v) / h
     "acceleration": (_F, ("nv",)),  # a = K (v' - v) / h, that of the constraints
