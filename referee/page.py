@@ -83,7 +83,7 @@ to add a set.
 
 {beds}
 - Not compared: swimmers, wheels with grousers, feet that push off, sand on slopes, sand with
-  memory, and wet sand.
+  memory, wet sand, and gravity other than Earth's.
 - Published drops are lines fitted to measurements, not the measurements.
 - Simulated grains are round, and most do not resist rolling: their friction is at the lower end of
   sands.

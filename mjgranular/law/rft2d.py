@@ -16,7 +16,7 @@ from mjgranular.law.rft import RftLaw
 from mjgranular.medium import Medium, get_medium
 from mjgranular.medium.presets import FOURIER_KEYS, GENERIC_FOURIER
 
-PER_CUBIC_CENTIMETRE = 1e6  # N/cm^3 in N/m^3
+PER_GRAVITY = 1e6 / 9.81  # N/cm^3, as measured at 9.81 m/s^2, in N/m^3 over gravity
 # Horizontal part of the normal below which an element counts as level: of Treers et al.
 _LEVEL = 1e-3
 # Least sideways part of a motion in the derivative, which is singular at zero. Chosen.
@@ -134,7 +134,7 @@ def rft2d_slope(law, g, rise, down, lead):
         u_r, u_d = -flat_r, -flat_d
         z_r, z_d = up_r + flat + flat_r * rise, up_d + flat_d * rise
     by_rise, by_down = vector(n_r, u_r, z_r), vector(n_d, u_d, z_d)
-    return law.scale, vector(n, u, z), by_rise, by_down, vector(n_l, u_l, z_l)
+    return law.scale * g, vector(n, u, z), by_rise, by_down, vector(n_l, u_l, z_l)
 
 
 @register_law
@@ -151,7 +151,7 @@ class Rft2dLaw(RftLaw):
     \end{aligned}
     $$
 
-    on leading elements below the surface, dF = alpha |z| dA.
+    on leading elements below the surface, dF = (g / 9.81 m/s^2) alpha |z| dA.
 
     Attributes:
         A00, A10, B11, B01, Bm11, C11, C01, Cm11, D10: Fourier coefficients [N/cm^3], as printed.
@@ -218,4 +218,4 @@ class Rft2dLaw(RftLaw):
         coefficients = {key: getattr(self, key) for key in FOURIER_KEYS}
         # A plate dragged along itself: alpha_x at tilt 0, attack 0.
         side = self.C11 + self.C01 + self.Cm11
-        return self.record(**coefficients, side=side, scale=self.scale * PER_CUBIC_CENTIMETRE)
+        return self.record(**coefficients, side=side, scale=self.scale * PER_GRAVITY)

@@ -289,9 +289,9 @@ class Sand:
         return binding.state.copy()
 
     def report(self, data: mujoco.MjData) -> Report:
-        """Report the sand's action at the state in `data` (`qpos`, `qvel`), which is not changed.
+        """Report the sand's action in a step from the state in `data`, which is not changed.
 
-        Warns with a `MissedStepWarning` as `check` does.
+        Write its controls and mocap poses first. Warns with a `MissedStepWarning` as `check` does.
 
         Raises:
             InputError: the shape of a geom was changed after the sand was made of it; `check` looks

@@ -128,6 +128,18 @@ def test_a_body_welded_to_a_mocap_body_meets_what_its_speed_asks_for(speed):
     assert data.qvel[0] == pytest.approx(speed, rel=1e-3)
 
 
+def test_report_is_of_a_step_with_the_mocap_poses_of_that_step():
+    model = mujoco.MjModel.from_xml_string(WELDED)
+    model.eq_solref[0] = 0.004, 1
+    sand, data = Sand(model), mujoco.MjData(model)
+    for i in range(100):
+        data.mocap_pos[0, 0] = 0.1 * model.opt.timestep * i
+        sand.step(data)
+    assert sand.report(data)["ball"].force[0] > 0.95 * data.efc_force[0]  # a hand that stops
+    data.mocap_pos[0, 0] += 0.1 * model.opt.timestep
+    assert sand.report(data)["ball"].force[0] == pytest.approx(data.efc_force[0], rel=1e-3)
+
+
 @pytest.mark.parametrize("own", [False, True])
 def test_touch_sensors_of_bodies_in_the_sand_are_told_to_be_numb(own):
     ball = BALL.replace("<geom", '<site name="sole" size=".1"/><geom')

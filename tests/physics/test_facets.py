@@ -806,6 +806,23 @@ def test_box_in_part_in_the_sand_is_nearly_exact(name, law):
     assert own.max() < 5e-3
 
 
+@pytest.mark.parametrize(("resolution", "most"), [(12, 4.5), (24, 29.5)])
+def test_what_a_stake_holds(resolution, most):
+    # docs/shapes.md: one facet on each side has no resistance at its own center of pressure.
+    model = mujoco.MjModel.from_xml_string(STAKE)
+    sand = Sand(model, resolution=resolution)
+    for push, stands in ((0.95 * most, True), (1.1 * most, False)):
+        data = mujoco.MjData(model)
+        data.xfrc_applied[1, 0] = push
+        while data.time < 2.0 and abs(data.qpos[5]) < 0.1:
+            sand.step(data)
+        assert (data.time >= 2.0) == stands
+
+
+STAKE = """<mujoco><worldbody><body pos="0 0 0.1"><freejoint/>
+  <geom type="box" size="0.02 0.02 0.25" mass="1"/></body></worldbody></mujoco>"""
+
+
 # Meshes
 
 CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
