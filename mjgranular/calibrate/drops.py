@@ -138,6 +138,7 @@ class DropTrial(Trial):
         self.speeds = (self._speed,)
         time, depth, pitch = run.motion.time, run.motion.depth, run.motion.pitch
         assert time is not None
+        time = time - time[0]  # a solver's tolerance is relative to the touch: no time since 1970
         if len(time) < 4:
             raise run.error(f"a trajectory needs at least 4 rows, got {len(time)}")
         if depth.max() <= 0:
@@ -151,10 +152,9 @@ class DropTrial(Trial):
             )
         if self._speed > 0 or falls:
             check_units(run, time)
-        self.touch = find_touch(time, depth, self._speed) if falls else float(time[0])
+        self.touch = find_touch(time, depth, self._speed) if falls else 0.0
         since = time - self.touch
-        curves = [np.maximum(depth, 0.0)]
-        curves += [] if pitch is None else [pitch]
+        curves = [np.maximum(depth, 0.0), *([] if pitch is None else [pitch])]
         moving = max(settling(since, curve) for curve in curves)
         before = min(_BEFORE * moving, self._speed / GRAVITY) if falls else 0.0
         used = (since <= _AFTER * moving) & (since >= -before)

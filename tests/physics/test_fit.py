@@ -86,6 +86,12 @@ def test_constants_come_back(two_speeds):
     assert two_speeds.valleys == two_speeds.at_bound == ()
 
 
+def test_times_since_1970():
+    runs = (drop(1.0, late=1.7e9), drop(3.0, late=1.7e9))
+    result = run_fit(Fit(runs, GUESS, ("stiffness", "quadratic")))
+    assert result.values == pytest.approx(TRUE, rel=1e-3)
+
+
 def test_a_run_that_was_held_out_is_predicted(two_speeds):
     errors = two_speeds.held_out["2.0 m/s"]
     assert errors.depth == pytest.approx(0.0, abs=0.002)
