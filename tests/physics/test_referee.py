@@ -40,6 +40,11 @@ def test_without_speeds_the_stop_is_that_of_the_depth():
     assert motion.stop == pytest.approx(0.99 * 0.05, rel=1e-2)
 
 
+def test_noise_leaves_no_stop_without_speeds():
+    noise = 5e-5 * np.random.default_rng(1).normal(size=len(TIME))
+    assert replace(braking(), depth=braking().depth + noise, speed=None).stop is None
+
+
 def test_what_never_touches_or_stops_has_no_stop():
     assert braking(start=-1.0).stop is None
     assert Motion(depth=TIME, time=TIME, speed=np.ones(601)).stop is None
