@@ -211,6 +211,7 @@ def test_a_set_of_ones_own(tmp_path):
         ),
         ({"run": RUN.replace("drop", "throw")}, UnknownNameError, "throw"),
         ({"run": RUN.replace("speed: 1", "height: 0.1")}, InputError, "no key 'height'"),
+        ({"run": RUN.replace("speed: 1, ", "")}, InputError, "needs the speed"),
         ({"run": RUN.replace("sphere", "cube")}, UnknownNameError, "cube"),
         ({"run": RUN.replace("speed: 1", "speed: fast")}, InputError, "speed"),
         ({"run": "{name: a, kind: drop, data: a.csv}"}, InputError, "body"),
