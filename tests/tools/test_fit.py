@@ -267,6 +267,7 @@ OPTIONS = {
     "'rft4d'": ("--law", "rft4d", "--free", "strength"),
     "name the law": ("--free", "strength"),
     "--out must be a file that ends in .yaml": (*FREE, "--out", "medium.json"),
+    "must not be the file of the runs": (*FREE, "--out", "runs.yaml", "--overwrite"),
     "there is no folder": (*FREE, "--out", "no/medium.yaml"),
 }  # fmt: skip
 
