@@ -59,7 +59,7 @@ def find_touch(time: np.ndarray, depth: np.ndarray, speed: float) -> float:
     rows = early if len(early) else np.array([0])
     t, d = time[rows], depth[rows]
     square = speed**2 + 2 * GRAVITY * np.minimum(d, 0.0)
-    falling = square > (0.05 * speed) ** 2  # before that the body was held
+    falling = square > (0.5 * speed) ** 2  # before that the body was held, but for noise
     if not falling.any():
         falling = np.ones(len(d), bool)
     above = (np.sqrt(np.maximum(square, 0.0)) - speed) / GRAVITY
