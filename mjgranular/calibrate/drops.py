@@ -24,7 +24,7 @@ from mjgranular.surface.floors import WOULD_CARRY, describe_floors, find_floors
 _BEGINNING = 0.1  # part of the depth within which a fall is nearly uniform; chosen
 _NEAR_STOP = 0.75  # part of the depth beyond which a stop is searched; chosen
 _END = 0.1  # part of the rows over which the final depth is averaged; chosen
-_PLAUSIBLE = (0.02, 1.5)  # mean speed on the way down over that of a free fall; chosen, wide
+_SLOWEST, _FASTEST = 0.02, 1.5  # mean speed on the way down over that of a free fall; chosen
 _TIMES = 200  # number of stopping times tried
 _VAGUE = 0.5  # part of a stopping time within which the rows must tell it; chosen
 _STAYS = 0.03  # parts of its range within which a curve counts as settled; chosen
@@ -109,8 +109,7 @@ def check_units(run: Run, time: np.ndarray) -> None:
     took = float(time[near] - time[begin[-1] if len(begin) else 0])
     took = max(took, float(np.diff(time).min()))
     of_free_fall = 0.9 * greatest / (speed * took + GRAVITY * took**2 / 2)
-    low, high = _PLAUSIBLE
-    if not low <= of_free_fall <= high or greatest > 50 * size:
+    if not _SLOWEST <= of_free_fall <= _FASTEST or greatest > 50 * size:
         raise run.error(
             f"{greatest:.4g} m deep after {took:.3g} s at {speed:g} m/s is implausible: "
             "name units, such as 'depth [mm]' and 'time [ms]', and check the speed"

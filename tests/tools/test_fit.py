@@ -184,6 +184,9 @@ DATA = {
     "a quote may not be closed": lambda place: (place / "slow.csv").write_text(
         'time,depth\n"0,0\n' + "0.01,1\n" * 20_000
     ),
+    "is not a text file": lambda place: (place / "slow.csv").write_text(
+        "time;depth\n0;0\n0.01;1\n", encoding="utf-16"
+    ),
     "slow.csv": lambda place: (place / "slow.csv").unlink(),
 }
 
