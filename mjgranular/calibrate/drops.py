@@ -24,7 +24,7 @@ from mjgranular.surface.floors import WOULD_CARRY, describe_floors, find_floors
 _BEGINNING = 0.1  # part of the depth within which a fall is nearly uniform; chosen
 _NEAR_STOP = 0.75  # part of the depth beyond which a stop is searched; chosen
 _END = 0.1  # part of the rows over which the final depth is averaged; chosen
-_PLAUSIBLE = (0.02, 1.5)  # mean speed on the way down over that of a free fall; chosen, wide
+_SLOWEST, _FASTEST = 0.02, 1.5  # mean speed on the way down over that of a free fall; chosen
 _TIMES = 200  # number of stopping times tried
 _VAGUE = 0.5  # part of a stopping time within which the rows must tell it; chosen
 _STAYS = 0.03  # parts of its range within which a curve counts as settled; chosen
@@ -59,7 +59,7 @@ def find_touch(time: np.ndarray, depth: np.ndarray, speed: float) -> float:
     rows = early if len(early) else np.array([0])
     t, d = time[rows], depth[rows]
     square = speed**2 + 2 * GRAVITY * np.minimum(d, 0.0)
-    falling = square > (0.05 * speed) ** 2  # before that the body was held
+    falling = square > (0.5 * speed) ** 2  # before that the body was held, but for noise
     if not falling.any():
         falling = np.ones(len(d), bool)
     above = (np.sqrt(np.maximum(square, 0.0)) - speed) / GRAVITY
@@ -109,8 +109,7 @@ def check_units(run: Run, time: np.ndarray) -> None:
     took = float(time[near] - time[begin[-1] if len(begin) else 0])
     took = max(took, float(np.diff(time).min()))
     of_free_fall = 0.9 * greatest / (speed * took + GRAVITY * took**2 / 2)
-    low, high = _PLAUSIBLE
-    if not low <= of_free_fall <= high or greatest > 50 * size:
+    if not _SLOWEST <= of_free_fall <= _FASTEST or greatest > 50 * size:
         raise run.error(
             f"{greatest:.4g} m deep after {took:.3g} s at {speed:g} m/s is implausible: "
             "name units, such as 'depth [mm]' and 'time [ms]', and check the speed"
@@ -138,6 +137,7 @@ class DropTrial(Trial):
         self.speeds = (self._speed,)
         time, depth, pitch = run.motion.time, run.motion.depth, run.motion.pitch
         assert time is not None
+        time = time - time[0]  # a solver's tolerance is relative to the touch: no time since 1970
         if len(time) < 4:
             raise run.error(f"a trajectory needs at least 4 rows, got {len(time)}")
         if depth.max() <= 0:
@@ -151,10 +151,9 @@ class DropTrial(Trial):
             )
         if self._speed > 0 or falls:
             check_units(run, time)
-        self.touch = find_touch(time, depth, self._speed) if falls else float(time[0])
+        self.touch = find_touch(time, depth, self._speed) if falls else 0.0
         since = time - self.touch
-        curves = [np.maximum(depth, 0.0)]
-        curves += [] if pitch is None else [pitch]
+        curves = [np.maximum(depth, 0.0), *([] if pitch is None else [pitch])]
         moving = max(settling(since, curve) for curve in curves)
         before = min(_BEFORE * moving, self._speed / GRAVITY) if falls else 0.0
         used = (since <= _AFTER * moving) & (since >= -before)

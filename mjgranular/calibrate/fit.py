@@ -103,7 +103,7 @@ class FitResult:
 
     Attributes:
         start: law and medium before the fit.
-        material: law and medium with the fitted constants.
+        material: the `law` with the fitted constants, and the `medium` with a fitted density.
         free: names of the free constants.
         values: fitted values of the free constants.
         intervals: 95 % intervals; None where neither the data nor the law bound the constant.

@@ -135,8 +135,7 @@ def trades_off(trials: Sequence[Trial], material: Material, names: Sequence[str]
     """Return True if constants trade off because all runs have one speed.
 
     Static and rate-dependent resistance are then separated only by the shape of one kind of curve,
-    which assumes an exact law. A comparison with discrete elements (docs/calibration.md): constants
-    that fit a sphere at 1 m/s within 0.3 % are 29 % wrong at 3 m/s.
+    which assumes an exact law (docs/calibration.md).
     """
     speeds = [speed for trial in trials for speed in trial.speeds]
     by_speed = [material.by_speed(name) for name in names]

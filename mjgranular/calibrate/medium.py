@@ -119,9 +119,8 @@ def _found(result: FitResult, constant: str, source: str) -> str:
     to = f"fitted by mjgranular fit to {source}" if source else "fitted by mjgranular fit"
     if constant in result.values:
         return f"{to}; {_interval(result, constant)}"
-    if STRENGTH in result.values and result.start.value(constant) != result.material.value(
-        constant
-    ):
+    changed = result.start.value(constant) != result.material.value(constant)
+    if STRENGTH in result.values and changed:
         return f"{to}, as the strength {result.values[STRENGTH]:.4g}; {_interval(result, STRENGTH)}"
     return "as at the start of the fit"
 

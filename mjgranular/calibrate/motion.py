@@ -53,7 +53,7 @@ class Motion:
 
         It has stopped when its downward speed is first below 1 % of the largest. Without a column
         of speeds, that of the lowest point is used, from differences. A record `to_the_stop` of the
-        lowest point ends there. None if it never touches or stops.
+        lowest point ends there. None if it never touches or stops, or if differences are noisy.
         """
         if self.time is None or not self.depth.max() > 0:
             return None
@@ -65,10 +65,10 @@ class Motion:
             return float(self.time[-1] - touch)
         k = int(np.argmax(speed))
         limit = _STOPPED * speed[k]
-        slow = np.flatnonzero(speed[k:] < limit)
-        if not len(slow):
+        slow = k + np.flatnonzero(speed[k:] < limit)
+        if not len(slow) or (self.speed is None and speed[slow[0] :].max() > 2 * limit):
             return None
-        i = k + int(slow[0])
+        i = int(slow[0])
         return float(np.interp(limit, speed[[i, i - 1]], self.time[[i, i - 1]]) - touch)
 
     @property

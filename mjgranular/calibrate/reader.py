@@ -138,7 +138,7 @@ def _scored_run(entry: dict[str, Any], where: str, path: Path, *, about: dict[st
     name, kind = entry["name"], entry["kind"]
     check_name("kind of run", kind, _SCORED_KINDS)
     check_mapping(entry, where, _SCORED_KEYS)
-    values: dict[str, Any] = {"speed": 0.0} | _common(entry, where, path)
+    values = _common(entry, where, path)
     table = read_table(path.parent / entry["data"], *COLUMNS[kind], values.pop("columns"))
     motion = motion_of(table, values.get("depth"), to_the_stop=name in about["to_the_stop"])
     guided, mark = name in about["guided"], about["marks"].get(name, "seen")

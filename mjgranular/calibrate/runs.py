@@ -211,9 +211,8 @@ class Run:
     def _read(self, data: Path | Mapping[str, Any], columns: Mapping[str, str] | None) -> Motion:
         """Read the columns that a fit takes, in SI units and degrees."""
         needed, optional = COLUMNS[self.kind]
-        if not isinstance(self.body, Path):
-            pushed = self.kind == "intrude"
-            optional = tuple(name for name in optional if pushed or name in ("pitch", "lift"))
+        if self.kind != "intrude" and not isinstance(self.body, Path):
+            optional = tuple(name for name in optional if name in ("pitch", "lift"))
         if not isinstance(data, Mapping):
             return motion_of(read_table(Path(data), needed, optional, columns), self.depth)
         for column in needed:

@@ -51,6 +51,8 @@ def read_table(
         check_name(f"column of {place(path)}", column, known)
     text = read_file(path, "the measurement", largest=_LARGEST).decode("utf-8-sig", "replace")
     name = place(path)
+    if "\0" in text:  # a workbook, or UTF-16
+        raise InputError(f"{name} is not a text file: save the table as CSV in UTF-8")
     try:
         rows = [
             (line, row)

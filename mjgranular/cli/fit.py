@@ -51,6 +51,8 @@ class FitCommand:
             return 0
         if self.out.suffix not in (".yaml", ".yml"):
             raise InputError(f"--out must be a file that ends in .yaml, got {str(self.out)!r}")
+        if self.out.resolve() == self.runs.resolve():
+            raise InputError(f"--out must not be the file of the runs, {self.out}")
         if not self.out.parent.is_dir():
             raise InputError(f"there is no folder {self.out.parent} for {self.out.name}: make it")
         figure, problems = self.out.with_suffix(".fit.png").name, []

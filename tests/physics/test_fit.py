@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 
 from mjgranular import InputError, Medium, Quantity, Rft3dLaw, calibrate
 from mjgranular.calibrate import Body, Fit, Run, read_fit, read_runs, run_fit, simulate
-from mjgranular.calibrate.drops import find_arrest
+from mjgranular.calibrate.drops import find_arrest, find_touch
 from mjgranular.calibrate.intervals import correlation_time
 
 DATA = Path(__file__).resolve().parents[2] / "referee" / "data"
@@ -84,6 +84,22 @@ def test_constants_come_back(two_speeds):
         assert two_speeds.values[name] == pytest.approx(value, rel=1e-3)
     assert all(two_speeds.identifiable.values())
     assert two_speeds.valleys == two_speeds.at_bound == ()
+
+
+def test_times_since_1970():
+    runs = (drop(1.0, late=1.7e9), drop(3.0, late=1.7e9))
+    result = run_fit(Fit(runs, GUESS, ("stiffness", "quadratic")))
+    assert result.values == pytest.approx(TRUE, rel=1e-3)
+
+
+def test_a_record_from_before_the_release():
+    """Held for 1 s, a tenth below the height of 51 mm: these rows are not those of a fall."""
+    t, depth, _ = fall(1.0)
+    before = np.arange(-1.1, 0.0, 1e-3)
+    path = np.where(before < -1 / 9.81, -0.046, before + 9.81 / 2 * before**2)
+    noise = 2e-4 * np.random.default_rng(1).normal(size=len(before))
+    time, depth = np.append(before, t), np.append(path + noise, depth)
+    assert find_touch(time, depth, 1.0) == pytest.approx(0.0, abs=1e-3)
 
 
 def test_a_run_that_was_held_out_is_predicted(two_speeds):

@@ -40,6 +40,11 @@ def test_without_speeds_the_stop_is_that_of_the_depth():
     assert motion.stop == pytest.approx(0.99 * 0.05, rel=1e-2)
 
 
+def test_noise_leaves_no_stop_without_speeds():
+    noise = 5e-5 * np.random.default_rng(1).normal(size=len(TIME))
+    assert replace(braking(), depth=braking().depth + noise, speed=None).stop is None
+
+
 def test_what_never_touches_or_stops_has_no_stop():
     assert braking(start=-1.0).stop is None
     assert Motion(depth=TIME, time=TIME, speed=np.ones(601)).stop is None
@@ -206,6 +211,7 @@ def test_a_set_of_ones_own(tmp_path):
         ),
         ({"run": RUN.replace("drop", "throw")}, UnknownNameError, "throw"),
         ({"run": RUN.replace("speed: 1", "height: 0.1")}, InputError, "no key 'height'"),
+        ({"run": RUN.replace("speed: 1, ", "")}, InputError, "needs the speed"),
         ({"run": RUN.replace("sphere", "cube")}, UnknownNameError, "cube"),
         ({"run": RUN.replace("speed: 1", "speed: fast")}, InputError, "speed"),
         ({"run": "{name: a, kind: drop, data: a.csv}"}, InputError, "body"),

@@ -184,6 +184,9 @@ DATA = {
     "a quote may not be closed": lambda place: (place / "slow.csv").write_text(
         'time,depth\n"0,0\n' + "0.01,1\n" * 20_000
     ),
+    "is not a text file": lambda place: (place / "slow.csv").write_text(
+        "time;depth\n0;0\n0.01;1\n", encoding="utf-16"
+    ),
     "slow.csv": lambda place: (place / "slow.csv").unlink(),
 }
 
@@ -267,6 +270,7 @@ OPTIONS = {
     "'rft4d'": ("--law", "rft4d", "--free", "strength"),
     "name the law": ("--free", "strength"),
     "--out must be a file that ends in .yaml": (*FREE, "--out", "medium.json"),
+    "must not be the file of the runs": (*FREE, "--out", "runs.yaml", "--overwrite"),
     "there is no folder": (*FREE, "--out", "no/medium.yaml"),
 }  # fmt: skip
 
