@@ -212,9 +212,11 @@ def box(halves: tuple[float, float, float], resolution: int) -> Cells:
 
     A flat patch, fully or partly immersed, is exact unless it turns: rotation needs several.
     """
-    longest = max(halves)
+    _, middle, longest = sorted(halves)
     # The small number prevents rounding from adding a patch to a third of a multiple of three.
     counts = [max(1, math.ceil(resolution / 3 * half / longest - 1e-9)) for half in halves]
+    along = halves.index(longest)
+    counts[along] = max(counts[along], _pieces(longest, middle, resolution))
 
     def face(axis: int, side: float) -> Cells:
         first, second = (axis + 1) % 3, (axis + 2) % 3
@@ -233,7 +235,16 @@ def box(halves: tuple[float, float, float], resolution: int) -> Cells:
 
 def _rows(radius: float, half: float, resolution: int) -> int:
     """Return the rows of patches along a tube: odd, about a third of the resolution if slender."""
-    return 1 + 2 * round(resolution / 6 * half / (half + radius))
+    rows = 1 + 2 * round(resolution / 6 * half / (half + radius))
+    return max(rows, _pieces(half, radius, resolution) // 2 * 2 + 1)
+
+
+def _pieces(half: float, radius: float, resolution: int) -> int:
+    """Return the pieces of a rod, at most one and a half widths long; at most `resolution`.
+
+    With two widths a stake holds 15 % less than with fine facets, and with these 4 %.
+    """
+    return min(resolution, math.ceil(half / (1.5 * radius) - 1e-9))
 
 
 def _around(count: float) -> int:
