@@ -342,6 +342,11 @@ class Task(SandSpec, ABC):
         return partial(type(self), **self.options()), ()  # its model is built again
 
 
+def coordinates(quantity: str, values: np.ndarray, axes: str) -> dict[str, np.ndarray]:
+    """Return entries of `info`, such as `x_position`, for copies of columns of shape (n, k)."""
+    return {f"{axis}_{quantity}": values[:, k].copy() for k, axis in enumerate(axes)}
+
+
 tasks: Registry[type[Task]] = Registry("environment")
 """Tasks by the names in their ids: `ChainSwim` for `mjgranular/ChainSwim-v0`."""
 
