@@ -222,7 +222,6 @@ class WarpSand:
         return self._memory.volumes()
 
     def _tables_on(self, device: Any) -> Any:
-        """Return the tables of kernels on a device."""
 
         def integers(values: Any) -> wp.array:
             return wp.array(np.asarray(values, np.int32), dtype=wp.int32, device=device)
