@@ -12,7 +12,7 @@ import numpy as np
 from mjgranular import Medium
 from mjgranular._util.checks import check_count
 from mjgranular.envs.dunes import Dunes
-from mjgranular.envs.task import Start, State, Task
+from mjgranular.envs.task import Start, State, Task, coordinates
 from mjgranular.models import Worm
 
 
@@ -140,8 +140,7 @@ class ChainSwim(_Chain):
         return self._seen(state, 2)
 
     def place(self, state: State) -> dict[str, np.ndarray]:
-        centre = state.subtree_com[:, 1]
-        return {"x_position": centre[:, 0].copy(), "y_position": centre[:, 1].copy()}
+        return coordinates("position", state.subtree_com[:, 1], "xy")
 
 
 @dataclass(frozen=True, kw_only=True)

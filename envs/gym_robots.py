@@ -15,7 +15,7 @@ from gymnasium.spaces import Box
 
 from mjgranular import Medium
 from mjgranular.envs.ground import quiet
-from mjgranular.envs.task import Start, State, Task
+from mjgranular.envs.task import Start, State, Task, coordinates
 
 ASSETS = Path(gymnasium.envs.mujoco.__file__).parent / "assets"
 
@@ -37,11 +37,8 @@ _AS_THERE = {
 def place_in_plane(state: State) -> dict[str, np.ndarray]:
     """Return positions of robots over a plane, as in Gymnasium [m], each of shape (n,)."""
     x, y = state.qpos[:, 0], state.qpos[:, 1]
-    return {
-        "x_position": x.copy(),
-        "y_position": y.copy(),
-        "distance_from_origin": np.sqrt(x * x + y * y),
-    }
+    distance = {"distance_from_origin": np.sqrt(x * x + y * y)}
+    return coordinates("position", state.qpos, "xy") | distance
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -252,7 +249,7 @@ class HalfCheetah(Robot):
         return np.concatenate((self.seen(state.qpos), state.qvel), axis=1)
 
     def place(self, state: State) -> dict[str, np.ndarray]:
-        return {"x_position": state.qpos[:, 0].copy()}
+        return coordinates("position", state.qpos, "x")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -303,10 +300,7 @@ class Swimmer(HalfCheetah):
         return place_in_plane(state)
 
     def progress(self, before: Any, state: State) -> dict[str, np.ndarray]:
-        return {
-            "x_velocity": self.speed(before, state),
-            "y_velocity": (state.qpos[:, 1] - before[:, 1]) / self.dt,
-        }
+        return coordinates("velocity", (state.qpos[:, :2] - before) / self.dt, "xy")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -354,8 +348,8 @@ class _Spatial(Standing):
         return place_in_plane(state)
 
     def progress(self, before: Any, state: State) -> dict[str, np.ndarray]:
-        x, y = ((self.once(state, "where", self.where) - before) / self.dt).T
-        return {"x_velocity": x, "y_velocity": y}
+        velocity = (self.once(state, "where", self.where) - before) / self.dt
+        return coordinates("velocity", velocity, "xy")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,7 +10,7 @@ import numpy as np
 
 from mjgranular import Medium, models
 from mjgranular.envs.dunes import Dunes
-from mjgranular.envs.task import Start, State, Task
+from mjgranular.envs.task import Start, State, Task, coordinates
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,17 +108,10 @@ class Hexapod(Task):
         return ~self.once(state, "upright", _upright)
 
     def place(self, state: State) -> dict[str, np.ndarray]:
-        return {
-            "x_position": state.qpos[:, 0].copy(),
-            "y_position": state.qpos[:, 1].copy(),
-            "z_position": state.qpos[:, 2].copy(),
-        }
+        return coordinates("position", state.qpos, "xyz")
 
     def progress(self, before: Any, state: State) -> dict[str, np.ndarray]:
-        return {
-            "x_velocity": (state.qpos[:, 0] - before[:, 0]) / self.dt,
-            "y_velocity": (state.qpos[:, 1] - before[:, 1]) / self.dt,
-        }
+        return coordinates("velocity", (state.qpos[:, :2] - before) / self.dt, "xy")
 
 
 def _upright(state: State) -> np.ndarray:

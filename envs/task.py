@@ -180,15 +180,6 @@ class Task(SandSpec, ABC):
         """The sands of the model, as specified."""
         return [choice.sand for choice in self.choices]
 
-    @cached_property
-    def _built(self) -> tuple[mujoco.MjModel, Figures]:
-        """The model and the reader, which is made before gravity is tilted."""
-        spec, drawn = self.scene(), self.randomise is not None
-        model = put_on_sand(
-            spec, self.sands, rigid=self.rigid, tunable=drawn, cut=self.cut, tile=self.tile
-        )
-        return model, Figures(model, self.sands)
-
     def scene(self) -> mujoco.MjSpec:
         """Return the robot, with dunes if sampled, before sand replaces the floor."""
         spec = self.robot()
@@ -196,15 +187,18 @@ class Task(SandSpec, ABC):
             add_dunes(spec, self.dunes)
         return spec
 
-    @property
+    @cached_property
     def model(self) -> mujoco.MjModel:
-        """The robot on sand."""
-        return self._built[0]
+        """The robot on sand, never changed: gravity is tilted in copies."""
+        spec, drawn = self.scene(), self.randomise is not None
+        return put_on_sand(
+            spec, self.sands, rigid=self.rigid, tunable=drawn, cut=self.cut, tile=self.tile
+        )
 
-    @property
+    @cached_property
     def figures(self) -> Figures:
         """Reader of the sand's metrics."""
-        return self._built[1]
+        return Figures(self.model, self.sands)
 
     @cached_property
     def dt(self) -> float:
@@ -340,6 +334,11 @@ class Task(SandSpec, ABC):
 
     def __reduce__(self) -> tuple[Any, ...]:
         return partial(type(self), **self.options()), ()  # its model is built again
+
+
+def coordinates(quantity: str, values: np.ndarray, axes: str) -> dict[str, np.ndarray]:
+    """Return entries of `info`, such as `x_position`, for copies of columns of shape (n, k)."""
+    return {f"{axis}_{quantity}": values[:, k].copy() for k, axis in enumerate(axes)}
 
 
 tasks: Registry[type[Task]] = Registry("environment")

@@ -14,7 +14,7 @@ import numpy as np
 from mjgranular._util.checks import check_count
 from mjgranular.envs.ground import converted_errors
 from mjgranular.envs.ranges import Sample
-from mjgranular.envs.task import Start, State, Task
+from mjgranular.envs.task import Start, State, Task, coordinates
 from mjgranular.errors import InputError, shown
 from mjgranular.models import robot_path
 from mjgranular.shape.sizes import geom_axes
@@ -597,11 +597,8 @@ class Go1Velocity(Task):
         return info
 
     def place(self, state: State) -> dict[str, np.ndarray]:
-        return {
-            "x_position": state.qpos[:, 0].copy(),
-            "y_position": state.qpos[:, 1].copy(),
-            "command": self.command(state).copy(),
-        }
+        command = {"command": self.command(state).copy()}
+        return coordinates("position", state.qpos, "xy") | command
 
     def progress(self, before: Any, state: State) -> dict[str, np.ndarray]:
         velocity, command = self.velocity(state), self.command(state)

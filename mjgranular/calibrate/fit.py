@@ -8,17 +8,9 @@ from typing import Any
 import numpy as np
 
 from mjgranular._util.checks import check_kind, check_name, require
+from mjgranular.calibrate import intervals
 from mjgranular.calibrate.drops import DropTrial, ModelTrial
-from mjgranular.calibrate.intervals import (
-    COLLINEAR,
-    WIDE,
-    NullDirection,
-    collinear,
-    information_of,
-    null_directions,
-    spread_of,
-    trades_off,
-)
+from mjgranular.calibrate.intervals import COLLINEAR, WIDE, NullDirection
 from mjgranular.calibrate.material import Material
 from mjgranular.calibrate.motion import Errors
 from mjgranular.calibrate.runs import Run
@@ -243,11 +235,13 @@ def _result(
     jacobian[:, ~moving] = 0.0
     scale = np.where(np.abs(x) > near, np.abs(x), sizes)[:count]
     blocks, size = problem.blocks, problem.sizes(scale)[moving]
-    half, correlation = spread_of(jacobian[:, moving], residual, blocks, problem.runs, size)
-    information = information_of(jacobian, scale)
+    half, correlation = intervals.spread_of(
+        jacobian[:, moving], residual, blocks, problem.runs, size
+    )
+    information = intervals.information_of(jacobian, scale)
     relative = half[:count] / scale
-    one_speed = trades_off(problem.trials, material, names)
-    flat = (collinear(information) >= COLLINEAR) | one_speed
+    one_speed = intervals.trades_off(problem.trials, material, names)
+    flat = (intervals.collinear(information) >= COLLINEAR) | one_speed
     good = ~flat & (relative <= WIDE)
     runs, held_out, curves = {}, {}, {}
     for name, trial in trials.items():
@@ -273,7 +267,7 @@ def _result(
         },
         identifiable={name: bool(good[k]) for k, name in enumerate(names)},
         at_bound=tuple(name for k, name in enumerate(names) if held[k]),
-        valleys=null_directions(information, names, one_speed) if flat.any() else (),
+        valleys=intervals.null_directions(information, names, one_speed) if flat.any() else (),
         runs=runs,
         held_out=held_out,
         curves=curves,

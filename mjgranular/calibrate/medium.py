@@ -67,7 +67,6 @@ def known_medium(
 
 
 def _given(entry: dict[str, Any], kind: type[Law], where: str, source: str) -> dict[str, Quantity]:
-    """Return density, grain size and constants of a law that a mapping has."""
     units = {"density": "kg/m^3", "grain": "m"}
     names = [*units, *(name for name in numbers_of(kind) if name not in units)]
     keys = dict.fromkeys((*_MEDIUM_KEYS, *names))
@@ -85,7 +84,6 @@ def _table(kind: type[Law]) -> str:
 
 
 def _constants_of(kind: type[Law], medium: Medium) -> dict[str, Quantity]:
-    """Return a medium's constants of a law, with their values."""
     key = medium.key_for(kind.name)
     if key is None:
         return dict(medium.constants.get(_table(kind), {}))

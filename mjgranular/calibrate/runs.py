@@ -229,7 +229,6 @@ class Run:
         return motion_of(found, self.depth)
 
     def _check_motion(self) -> None:
-        """Check that what is needed was measured."""
         if not isinstance(self.motion, Motion):
             raise self.error("it needs data, a CSV file or columns by their names")
         time = self.motion.time

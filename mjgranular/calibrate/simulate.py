@@ -169,7 +169,6 @@ def simulate_with(
 
 
 def _simulator_of(run: Run, way: str, timestep: float) -> Simulator:
-    """Return a simulator for a way of `_MOVES`."""
     spec = load_machine(run.body) if isinstance(run.body, Path) else run.body.spec()
     hinges = [joint for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_HINGE]
     chosen: Scheme | str = "implicit"

@@ -4,7 +4,7 @@ import json
 import logging
 import math
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -54,16 +54,19 @@ def _with_words(value: Any) -> Any:
 
 def table(
     title: str,
-    headings: Sequence[str],
+    headings: Iterable[str],
     rows: Iterable[Iterable[str]],
     *,
     words: int = 1,
+    fold: bool = False,
 ) -> Table:
-    """Make a table with all columns but the first `words` at the right."""
+    """Make a table with all columns but the first `words` at the right; `fold` long words."""
     made = Table(title=title, title_justify="left")
+    overflow = "fold" if fold else "ellipsis"
     for number, heading in enumerate(headings):
         justify = "left" if number < words else "right"
-        made.add_column(Text(heading), justify=justify, no_wrap=number == 0)
+        no_wrap = number >= words if fold else number == 0
+        made.add_column(Text(heading), justify=justify, no_wrap=no_wrap, overflow=overflow)
     for row in rows:
         made.add_row(*row)
     return made

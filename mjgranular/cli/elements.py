@@ -18,6 +18,7 @@ from mjgranular.picture.elements import check_file, count, draw_elements, kind_o
 from mjgranular.sand import Sand
 from mjgranular.sand.report import Names
 from mjgranular.scheme import Explicit
+from mjgranular.shape.sizes import geom_type
 
 _CHOICE = ("medium", "law", "resolution", "bodies", "geoms", "groups", "keyframe")
 
@@ -110,11 +111,10 @@ def _rows(sand: Sand) -> Iterator[dict[str, Any]]:
     names = Names.of(model, elements)
     for geom in dict.fromkeys(elements["geom"].tolist()):
         mine = elements[elements["geom"] == geom]
-        shape = mujoco.mjtGeom(int(model.geom_type[geom])).name.removeprefix("mjGEOM_").lower()
         yield {
             "body": names.bodies[int(mine["body"][0])],
             "geom": names.geoms[geom],
-            "shape": shape,
+            "shape": geom_type(model, geom),
             "elements": len(mine),
             "area": float(mine["area"].sum()) if kind == "facets" else None,
             "length": float(2 * mine["half_length"].sum()) if kind == "rods" else None,

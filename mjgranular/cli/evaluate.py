@@ -8,10 +8,9 @@ from typing import Annotated, Any
 
 import tyro
 from rich.table import Table
-from rich.text import Text
 
 from mjgranular._util.checks import check_name, require
-from mjgranular.cli.console import out, print_json, progress_bar
+from mjgranular.cli.console import out, print_json, progress_bar, table
 from mjgranular.cli.options import Flag
 from mjgranular.errors import InputError, OutputError, UnknownNameError
 from mjgranular.learn import environments
@@ -124,14 +123,8 @@ def table_of(scores: list[Score], seeds: int) -> Table:
     if any("sand/valid" in score.episodes.figures for score in scores):
         columns["law held"] = _share_valid
     title = f"Mean of {seeds} seeds ± half the 95 % interval{where}"
-    table = Table(title=title, title_justify="left")
-    for number, heading in enumerate(columns):
-        justify = "left" if number < words else "right"
-        no_wrap = justify == "right"
-        table.add_column(Text(heading), justify=justify, no_wrap=no_wrap, overflow="fold")
-    for score in scores:
-        table.add_row(*(cell(score) for cell in columns.values()))
-    return table
+    rows = ([cell(score) for cell in columns.values()] for score in scores)
+    return table(title, columns, rows, words=words, fold=True)
 
 
 def _share_valid(score: Score) -> str:

@@ -177,7 +177,6 @@ def _word(value: Any) -> str:
 
 
 def _converted(name: str, value: Value, kind: Any) -> Any:
-    """Convert a value to the type of a field."""
     kinds = typing.get_args(kind) if isinstance(kind, types.UnionType) else (kind,)
     if float not in kinds and int not in kinds:
         return value if isinstance(value, str) else f"{value:g}"

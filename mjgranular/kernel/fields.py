@@ -109,7 +109,6 @@ def _leaves(builder: Any, kind: Any, value: Any) -> Iterator[Any]:
 
 
 def _built(context: Any, builder: Any, kind: Any, numbers: Iterator[Any]) -> Any:
-    """Build a value from its numbers."""
     parts = _parts(kind)
     if parts is None:
         return next(numbers)

@@ -8,14 +8,10 @@ from pathlib import Path
 from typing import Literal
 
 Measure = Literal["froude", "inertial_number", "depth_over_width", "slope"]
-
-MEANING: dict[Measure, str] = {
-    "froude": "|v| / sqrt(g w), w the geom's width",
-    "inertial_number": "(|v| / w) d sqrt(rho / (rho g z)), d the grain's diameter, z the depth",
-    "depth_over_width": "depth over the geom's width",
-    "slope": "angle of the surface against the horizontal [rad]",
-}
-"""Meaning of each measure; all but the slope are the greatest over a body's immersed elements."""
+"""froude is |v| / sqrt(g w), with the geom's width w; inertial_number (|v| / w) d sqrt(rho / (rho g
+z)), with the grain's diameter d and the depth z; depth_over_width z / w; slope the angle of the
+surface against the horizontal [rad]. The first three are the greatest over a body's immersed
+elements."""
 
 
 @dataclass(frozen=True)
@@ -23,7 +19,7 @@ class Limit:
     """A bound on one measure.
 
     Attributes:
-        measure: bounded quantity; `MEANING` defines it.
+        measure: bounded quantity, one of `Measure`.
         most: the law holds up to this value.
         source: source of the bound.
     """

@@ -1,6 +1,5 @@
 """The callback of a training: writes the learning curve and the checkpoints when they are due."""
 
-import random
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -96,11 +95,7 @@ class CheckpointCallback(BaseCallback):
 def restart_episodes(model: Any, seed: int) -> None:
     """Begin new episodes, with random numbers that follow from the seed and the steps done."""
     word = int(np.random.SeedSequence([seed, model.num_timesteps]).generate_state(1)[0]) % 2**31
-    random.seed(word)
-    np.random.seed(word)  # noqa: NPY002  Stable-Baselines3 draws from it
-    torch.manual_seed(word)
-    model.action_space.seed(word)
-    model.env.seed(word)
+    model.set_random_seed(word)
     model._last_obs = model.env.reset()
     model._last_episode_starts = np.ones(model.env.num_envs, dtype=bool)
     model._last_original_obs = model.get_vec_normalize_env().get_original_obs()

@@ -193,7 +193,6 @@ def _write_replay(file: Path, buffer: Any) -> None:
 
 
 def _read_replay(file: Path, buffer: Any) -> None:
-    """Put what `_write_replay` wrote into a new buffer."""
     names = _replay_arrays(buffer)
     arrays = read_arrays(file, [*names, "pos", "full"], most=None)
     used = len(arrays["rewards"])

@@ -119,7 +119,6 @@ def _operations_of(policy: Policy) -> list[tuple[str, list[np.ndarray]]]:
 
 
 def _model_of(onnx: Any, policy: Policy) -> Any:
-    """Return what `Policy.act` computes, as a model of ONNX."""
     make, nodes, tensors = onnx.helper, [], []
     before = "observations"
     operations = _operations_of(policy)

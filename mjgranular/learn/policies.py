@@ -64,7 +64,6 @@ def load_policy(where: Path | str) -> Policy:
 
 
 def _load(run: Run, holder: Path) -> Policy:
-    """Return the policy in the folder of a run or of one of its checkpoints."""
     file = files.latest_path(holder, POLICY)
     if not file.exists():
         raise OutputError(

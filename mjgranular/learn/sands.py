@@ -46,8 +46,7 @@ def sands_of(env: Any) -> Sands | None:
 
 def sands_made(env_id: str, arguments: Mapping[str, Any]) -> Sands | None:
     """Make an environment and return its sands, as `sands_of` does."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", GranularWarning)  # repeated when it is used
+    with warnings.catch_warnings(action="ignore", category=GranularWarning):  # repeated when used
         env = environments.one(env_id, arguments)
     with closing(env):
         return sands_of(env)

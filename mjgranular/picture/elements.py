@@ -226,8 +226,7 @@ def add_elements(
     if needed > free:
         raise InputError(
             f"the scene can hold {free} more geoms and {needed} are needed: make it larger "
-            "(mujoco.Renderer(..., max_geom=...)), use normals=False, or a lower "
-            "resolution"
+            "(mujoco.Renderer(..., max_geom=...)), use normals=False, or a lower resolution"
         )
     mine = {*np.unique(shown.elements["geom"]).tolist(), *sand.surface.geoms(sand.model)}
     for geom in scene.geoms[: scene.ngeom]:

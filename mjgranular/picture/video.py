@@ -287,7 +287,6 @@ def play(film: Any, fps: int, seconds: float, camera: str | None) -> None:
 
 
 def _pictures(film: Any, fps: int, seconds: float, camera: str | None) -> list[np.ndarray]:
-    """Return the pictures of a film, or of a result."""
     if isinstance(film, DropResult):
         options = Film(camera=camera or "free", fps=fps, seconds=seconds)
         return list(frames_of_drop(options, film.drop, vars(film), film.prints)[1])

@@ -164,7 +164,6 @@ class Page:
             self._meshes.append(self._server.scene.add_mesh_trimesh(name, mesh, cast_shadow=False))
 
     def _surface(self, geom: np.void, material: Any) -> Any:
-        """Return the surface that a geom draws."""
         model, trimesh = self._model, _import("trimesh")
         if geom["type"] == _SKIN:
             k = int(geom["objid"])
@@ -192,7 +191,6 @@ class Page:
         return trimesh.Trimesh(points, faces, visual=visual, process=False)
 
     def _material(self, color: np.void) -> Any:
-        """Return a material of the model, in a color."""
         model, image = self._model, None
         if (k := texture_of(model, int(color["matid"]))) >= 0:
             size = model.tex_height[k], model.tex_width[k], model.tex_nchannel[k]

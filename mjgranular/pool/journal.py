@@ -141,7 +141,6 @@ def _entry(index: int, row: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _difference(there: Any, asked: Mapping[str, Any]) -> str:
-    """Return the first difference of two requests."""
     for part, of in (("asked", ""), ("versions", "the version of ")):
         before, now = there[part], asked[part]
         for name in {**before, **now}:

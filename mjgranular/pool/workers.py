@@ -67,8 +67,7 @@ class WorkerLostError(Exception):
 def run_task(function: Function, shared: Any, task: Any) -> Answer:
     """Run a task in this process. A task that raises affects no other."""
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", GranularWarning)  # there may be one per task
+        with warnings.catch_warnings(action="ignore", category=GranularWarning):  # one per task
             return Answer(function(shared, task))
     except GranularError as error:
         return Answer(None, str(error))

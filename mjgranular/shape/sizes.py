@@ -122,9 +122,7 @@ def check_extents(what: str, half: Sequence[float] | np.ndarray) -> None:
 
 def check_resolution(resolution: Any, least: int, most: int) -> int:
     """Return a resolution as an integer; check that it is one from `least` to `most`."""
-    checks.check_count("the resolution", resolution, least)
-    if resolution > most:
-        raise InputError(f"the resolution must be at most {most}, not {resolution}")
+    checks.check_count("the resolution", resolution, least, most)
     return int(resolution)
 
 

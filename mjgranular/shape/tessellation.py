@@ -150,13 +150,10 @@ def _revolved(profile: Callable[[np.ndarray], Any], up: float = 1.0) -> Skin:
 def ellipsoid(radii: tuple[float, float, float], resolution: int) -> Cells:
     """Return an ellipsoid: `resolution` rings from pole to pole, twice that around the equator."""
     size = np.array(radii)
+    ball = _revolved(lambda u: (np.sin(math.pi * u), np.cos(math.pi * u)))
 
     def skin(u: np.ndarray, v: np.ndarray) -> np.ndarray:
-        polar, turn = math.pi * u, 2 * math.pi * v
-        along = np.stack(
-            [np.sin(polar) * np.cos(turn), np.sin(polar) * np.sin(turn), np.cos(polar)], axis=-1
-        )
-        along = along * size**_TURNING
+        along = ball(u, v) * size**_TURNING
         return along / np.linalg.norm(along, axis=-1)[..., None] * size
 
     # Counted from the nearer pole, so that rounding is symmetric.

@@ -11,14 +11,8 @@ from mjgranular.relief.footprint import Footprint
 from mjgranular.relief.memory import Heights, square_about
 from mjgranular.relief.probe import level_kernel
 from mjgranular.relief.relief import Relief
-from mjgranular.warp import update
+from mjgranular.warp import translate, update
 from mjgranular.warp.grid import Grid, tiles_of
-from mjgranular.warp.translate import (
-    PlainRelief,
-    plain_relief,
-    struct_of_surface,
-    surface_on_device,
-)
 
 
 class WarpMemory:
@@ -62,11 +56,12 @@ class WarpMemory:
         work.task, work.rate = zeros((count,), int), zeros((count,))
         self._skin = wp.array(_skin_of(footprint), dtype=update.Skin, device=device)
 
-        self.surface = surface_on_device(relief, record, model, device, grid)
-        self._plain = plain_relief(record, grid)
+        self.surface = translate.surface_on_device(relief, record, model, device, grid)
+        self._plain = translate.plain_relief(record, grid)
         # Over a plane, all surfaces share one kernel.
         self._leveled = self._plain if relief.is_flat else self.surface
-        struct = PlainRelief if relief.is_flat else struct_of_surface(relief, record)
+        plain, of_surface = translate.PlainRelief, translate.struct_of_surface
+        struct = plain if relief.is_flat else of_surface(relief, record)
         level = level_kernel(type(relief.base).probe, relief.is_flat)
         self._press = update.press_kernel(struct, level)
         self._flow = update.flow_kernel(struct, level)

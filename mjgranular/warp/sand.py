@@ -18,16 +18,11 @@ from mjgranular.relief.relief import Relief, place_in_plane
 from mjgranular.sand.prepare import choose_sand, remembering
 from mjgranular.sand.spec import SandFields, SandSpec, combined
 from mjgranular.scheme import Auto, Implicit, get_scheme
-from mjgranular.warp import damping, fit
+from mjgranular.warp import damping, fit, translate
 from mjgranular.warp.constraints import Constraints
 from mjgranular.warp.memory import WarpMemory
 from mjgranular.warp.motions import Damping, Slot
-from mjgranular.warp.translate import (
-    struct_of_dtype,
-    struct_of_surface,
-    surface_on_device,
-    to_device,
-)
+from mjgranular.warp.translate import to_device
 
 SOFTNESS = 1e-6
 """Speed over which rest is softened [m/s]; chosen: single precision resolves a tenth of it."""
@@ -134,7 +129,7 @@ class WarpSand:
         n, count = d.nworld, len(self._slots)
         self._device, self._size = device, (n, count)
 
-        law_struct = struct_of_dtype(type(self.law).__name__, self._scene["law"].dtype)
+        law_struct = translate.struct_of_dtype(type(self.law).__name__, self._scene["law"].dtype)
         self._law_struct = law_struct
         self._laws = to_device(self._scene["law"], law_struct, device)
         record = self._scene["surface"]
@@ -142,8 +137,8 @@ class WarpSand:
             self._memory = WarpMemory(self.surface, self._footprint, record, model, n, device)
             self._surface = self._memory.surface
         else:
-            self._surface = surface_on_device(self.surface, record, model, device)
-        surface_struct = struct_of_surface(self.surface, record)
+            self._surface = translate.surface_on_device(self.surface, record, model, device)
+        surface_struct = translate.struct_of_surface(self.surface, record)
         self._up = wp.vec3(*fit.up_of(self.surface, model))
         self._resist = damping.resist_kernel(
             self._kernel, law_struct, surface_struct, self._memory is not None
@@ -227,7 +222,6 @@ class WarpSand:
         return self._memory.volumes()
 
     def _tables_on(self, device: Any) -> Any:
-        """Return the tables of kernels on a device."""
 
         def integers(values: Any) -> wp.array:
             return wp.array(np.asarray(values, np.int32), dtype=wp.int32, device=device)

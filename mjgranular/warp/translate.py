@@ -183,16 +183,11 @@ def struct_of_dtype(name: str, dtype: np.dtype) -> Any:
             fields[key] = struct_of_dtype(name.removeprefix(Relief.__name__), kind)
         elif kind.base.kind == "i":
             fields[key] = wp.int32
+        elif len(kind.shape) == 1 and kind.shape not in _BY_SHAPE:
+            fields[key] = wp.types.vector(length=kind.shape[0], dtype=wp.float32)
         else:
-            fields[key] = _of_shape(kind.shape)
+            fields[key] = _BY_SHAPE[kind.shape]
     return struct(name, fields)
-
-
-def _of_shape(shape: tuple[int, ...]) -> Any:
-    """Return the type of a numeric field."""
-    if shape not in _BY_SHAPE and len(shape) == 1:
-        return wp.types.vector(length=shape[0], dtype=wp.float32)
-    return _BY_SHAPE[shape]
 
 
 _relief = relief_dtype(np.dtype([]))

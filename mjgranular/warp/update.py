@@ -8,31 +8,14 @@ Sand flows in squares of four nodes, every other one along both axes: no two sha
 `LANES` threads per world process its points or nodes, in any order.
 """
 
-# Kernels are written in Warp's language, which Python type checkers do not understand.
-# pyright: reportInvalidTypeForm=false, reportArgumentType=false, reportCallIssue=false
-# pyright: reportOperatorIssue=false, reportGeneralTypeIssues=false, reportIndexIssue=false
-# pyright: reportAttributeAccessIssue=false, reportAssignmentType=false
-
 import functools
 from typing import Any
 
 import numpy as np
 import warp as wp
 
-from mjgranular.relief.update import (
-    FACES_DOWN,
-    FASTEST,
-    FLOWS_AFTER,
-    LEAST,
-    PRESSED_AFTER,
-    REST,
-    excess_of,
-    gains_of,
-    has_edges,
-    is_sand,
-    skin_at,
-    slope_to,
-)
+from mjgranular.relief import update as rules
+from mjgranular.relief.update import FACES_DOWN, FASTEST, FLOWS_AFTER, LEAST, PRESSED_AFTER, REST
 from mjgranular.warp.grid import (
     corner_of,
     height_of_node,
@@ -80,8 +63,9 @@ Work = struct(
 
 _NEAR = 32  # more than the number of edge nodes within two cells
 
-_is_sand, _has_edges, _skin_at = (translated(each) for each in (is_sand, has_edges, skin_at))
-_slope_to, _excess_of, _gains_of = (translated(each) for each in (slope_to, excess_of, gains_of))
+_is_sand, _has_edges = translated(rules.is_sand), translated(rules.has_edges)
+_skin_at, _slope_to = translated(rules.skin_at), translated(rules.slope_to)
+_excess_of, _gains_of = translated(rules.excess_of), translated(rules.gains_of)
 
 
 @wp.func
