@@ -7,7 +7,7 @@ velocities at its end still have: P / L = v / sqrt(v^2 + eps^2). These are seen 
 configuration (`balance.find_last_motions`); in today's they are disturbed by joints that turn.
 Newton's method finds nearly all velocities. Where it fails, forces are treated as damping
 (`scheme.damping`), from which it starts over, and then the solution is followed from soft forces to
-hard ones (`harden`).
+hard ones (`continuation`).
 """
 
 import math
@@ -48,10 +48,9 @@ _BEGUN = 10.0  # largest ratio of the softness at the velocity found for which i
 # evaluate only. Not literals: numba would compile a function for each. Chosen.
 _STEPS_NEAR, _STEPS, _STEPS_SOFT, _STEPS_FROM_NEAR, _NO_STEPS = map(np.int64, (8, 40, 6, 12, 0))
 _ROUNDS = 3  # of damping and Newton's method; chosen
-# The path of the solution from soft to hard forces (`harden`): the softness at its beginning, in
-# parts of the speeds, and the factor by which it grows if there is no solution; the least ratio of
-# one softness to the last, and the steps of Newton's method after which it falls; the residual of
-# solutions on the way. All chosen.
+# For `continuation`: the softness at its beginning, in parts of the speeds, and the factor by which
+# it grows if there is no solution; the least ratio of one softness to the last, and the steps of
+# Newton's method after which it falls; the residual of solutions on the way. All chosen.
 _SOFTEST, _SOFTER, _SHARE, _FEW, _ON_PATH = 3.0, 100.0, 0.1, 4, 1e-7
 
 
@@ -109,12 +108,12 @@ def find_velocity(table, w):
         if error <= UNFINISHED * w.scale:
             return done, error / w.scale
         copy(velocity, w.near)
-    more, error = harden(table, w, loose, fine, goal, w.evaluations - done)
+    more, error = continuation(table, w, loose, fine, goal, w.evaluations - done)
     return done + more, error / w.scale
 
 
 @compiled
-def harden(table, w, coarse, fine, goal, most):
+def continuation(table, w, coarse, fine, goal, most):
     """Follow the solution from a large softness, where it is nearly linear, down to `fine`.
 
     After `most` evaluations the step is made with the softness reached, or as damping if there is
