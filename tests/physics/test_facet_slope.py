@@ -128,7 +128,7 @@ def stress_2d(law, n, u, z):
     share = REAL(1.99392673405210) / REAL(5.81083560370960) * (share + np.arctanh(least[0]))
     slip = np.tanh(REAL(3.62263982880971) * w - least[1]) + np.tanh(least[1])
     slip *= REAL(0.440850096954369) / REAL(0.832324700111401) * law["side"] / w
-    return law["scale"] * (share * (up * z - back * e) - slip * aside)
+    return law["scale"] * G * (share * (up * z - back * e) - slip * aside)
 
 
 STRESS = {"rft2d": stress_2d, "rft3d_dynamic": stress_measured}
