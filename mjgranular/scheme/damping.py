@@ -22,7 +22,7 @@ DAMPINGS = 8
 """Iterations of `damp`. Chosen."""
 
 
-@compiled
+@partial(compiled, merge=True)
 def damp(table, w, eps):
     """Iterate from `w.velocity`; end at a velocity where damping balances the momenta.
 

@@ -50,8 +50,9 @@ _STEPS_NEAR, _STEPS, _STEPS_SOFT, _STEPS_FROM_NEAR, _NO_STEPS = map(np.int64, (8
 _ROUNDS = 3  # of damping and Newton's method; chosen
 # For `continuation`: the softness at its beginning, in parts of the speeds, and the factor by which
 # it grows if there is no solution; the least ratio of one softness to the last, and the steps of
-# Newton's method after which it falls; the residual of solutions on the way. All chosen.
-_SOFTEST, _SOFTER, _SHARE, _FEW, _ON_PATH = 3.0, 100.0, 0.1, 4, 1e-7
+# Newton's method after which it falls; the residual of solutions on the way; and the softness [m/s]
+# at which there is next to no force. All chosen.
+_SOFTEST, _SOFTER, _SHARE, _FEW, _ON_PATH, _NO_FORCE = 3.0, 100.0, 0.1, 4, 1e-7, 1e9
 
 
 @partial(compiled, merge=True)
@@ -99,12 +100,13 @@ def find_velocity(table, w):
     # Damping leads close to the solution, and Newton's method starts over from there.
     copy(velocity, w.start)
     for _ in range(_ROUNDS):
+        error = damp(table, w, fine)
+        done += DAMPINGS
         if done >= w.evaluations:
-            break
-        damp(table, w, fine)
+            return done, error / w.scale
         copy(w.near, velocity)
         more, error = newton(table, w, Search(FRESH, fine, fine, goal, _STEPS_FROM_NEAR, math.inf))
-        done += DAMPINGS + more
+        done += more
         if error <= UNFINISHED * w.scale:
             return done, error / w.scale
         copy(velocity, w.near)
@@ -116,8 +118,8 @@ def find_velocity(table, w):
 def continuation(table, w, coarse, fine, goal, most):
     """Follow the solution from a large softness, where it is nearly linear, down to `fine`.
 
-    After `most` evaluations the step is made with the softness reached, or as damping if there is
-    none. Return the evaluations and the residual of the law's own forces.
+    After `most` evaluations the step is made with the softness reached. Return the evaluations and
+    the residual of the law's own forces.
     """
     velocity, near, before = w.velocity, w.near, w.found
     copy(near, w.start)
@@ -125,7 +127,7 @@ def continuation(table, w, coarse, fine, goal, most):
     eps, share = _SOFTEST * (fastest(table, w) + coarse), _SHARE
     reached = last = math.inf  # the softness at `near` and at `before`
     done = 0
-    while done < most:
+    while done < most or (reached == math.inf and eps < _NO_FORCE):
         # Extrapolated linearly: what holds moves in proportion to the softness.
         beyond = (eps - reached) / (reached - last) if last < math.inf else 0.0
         for j in range(w.nv):
@@ -148,8 +150,7 @@ def continuation(table, w, coarse, fine, goal, most):
             continue
         eps = max(fine, share * reached)
     copy(velocity, near)
-    if reached == math.inf:
-        return done, damp(table, w, fine)
+    reached = min(reached, eps)
     _, error = newton(table, w, Search(FRESH, fine, fine, goal, _NO_STEPS, math.inf))
     newton(table, w, Search(FRESH, reached, reached, goal, _NO_STEPS, math.inf))
     return done, error
