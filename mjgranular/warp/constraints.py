@@ -5,6 +5,10 @@ metric to the inertia matrix. In MuJoCo Warp that metric contains the sand's dam
 does not: uncorrected, joint limits of a robot in sand would be about a thousand times too stiff.
 """
 
+# Kernels annotate arrays in Warp's language, which Python type checkers do not understand.
+# pyright: reportInvalidTypeForm=false, reportArgumentType=false
+# pyright: reportGeneralTypeIssues=false, reportAssignmentType=false
+
 from typing import Any
 
 import mujoco_warp as mjw

@@ -10,6 +10,11 @@ exact where the force is linear. In the final equations of the step, and where (
 force, C is the secant of the element's total force and there is no constant force.
 """
 
+# Kernels are written in Warp's language, which Python type checkers do not understand.
+# pyright: reportInvalidTypeForm=false, reportArgumentType=false, reportCallIssue=false
+# pyright: reportOperatorIssue=false, reportGeneralTypeIssues=false
+# pyright: reportAssignmentType=false, reportAttributeAccessIssue=false
+
 import functools
 from typing import Any
 

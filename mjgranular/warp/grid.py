@@ -5,6 +5,11 @@ As on the CPU (`relief.grid`), a node (i, j) of the plane is stored at (i mod si
 from other nodes stored in the same place.
 """
 
+# Kernels are written in Warp's language, which Python type checkers do not understand.
+# pyright: reportInvalidTypeForm=false, reportArgumentType=false, reportCallIssue=false
+# pyright: reportOperatorIssue=false, reportGeneralTypeIssues=false, reportIndexIssue=false
+# pyright: reportAttributeAccessIssue=false
+
 from typing import Any
 
 import numpy as np

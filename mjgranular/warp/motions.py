@@ -4,6 +4,11 @@ C is the secant at the predicted velocity v: if that is the velocity at the end 
 force -C v is the law's own (`law.secant`).
 """
 
+# Kernels are written in Warp's language, which Python type checkers do not understand.
+# pyright: reportInvalidTypeForm=false, reportArgumentType=false, reportCallIssue=false
+# pyright: reportOperatorIssue=false, reportGeneralTypeIssues=false
+# pyright: reportAttributeAccessIssue=false
+
 import functools
 from typing import Any
 

@@ -8,6 +8,11 @@ Sand flows in squares of four nodes, every other one along both axes: no two sha
 `LANES` threads per world process its points or nodes, in any order.
 """
 
+# Kernels are written in Warp's language, which Python type checkers do not understand.
+# pyright: reportInvalidTypeForm=false, reportArgumentType=false, reportCallIssue=false
+# pyright: reportOperatorIssue=false, reportGeneralTypeIssues=false, reportIndexIssue=false
+# pyright: reportAttributeAccessIssue=false, reportAssignmentType=false
+
 import functools
 from typing import Any
 
