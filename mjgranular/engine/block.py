@@ -161,7 +161,9 @@ HEADER_DTYPE = np.dtype(
         ("instances", np.int64),  # of all plugins in the model
         ("later", np.int64),  # the next instance of sand in the model; 0 for none
         ("senses", np.int64),  # whether the model has sensors that may read forces on bodies
-        ("current", np.int64),  # whether forces are those of the step that MuJoCo computes
+        # Not 0 if forces are those of the step that MuJoCo computes, or unknown: what is unpickled
+        # may have them in `qfrc_passive`.
+        ("current", np.int64),
         ("updating", np.int64),  # whether those are being recomputed (`external`)
         ("size", np.int64),  # of the block [bytes]
         ("image", np.int64),  # number of the image that it copies
@@ -259,6 +261,7 @@ def make_image(
         "of_model_count": count,
         "shape": shapes.ctypes.data if len(shapes) else 0,
         "shape_count": len(shapes),
+        "current": 1,
         "table": table.ctypes.data,
         "qfrc": data.qfrc_passive.ctypes.data,
         "xfrc": data.xfrc_applied.ctypes.data,

@@ -31,7 +31,9 @@ from mjgranular.scheme.scheme import BAD_TIMESTEP, REFUSED
 Callbacks = dict[str, tuple[Any, str]]
 """Compiled functions by their fields in `mjpPlugin`, and their signatures."""
 
-_ACTUATOR, _SENSOR = 1 << 0, 1 << 1  # mjPLUGIN_ACTUATOR, mjPLUGIN_SENSOR
+_ACTUATOR, _SENSOR, _PASSIVE = 1 << 0, 1 << 1, 1 << 2  # mjPLUGIN_ACTUATOR, ...
+EXPECTED, EARLY = -1, 2
+"""Of `current`: other passive forces are being computed; and those have called this sand first."""
 _BEGIN = HEADER_DTYPE.itemsize
 _APPLIED = int(HEADER_DTYPE.fields["applied"][1])  # pyright: ignore[reportOptionalSubscript]
 
@@ -125,6 +127,18 @@ def adjust(block, model, data, instance):
             applied[k] = bits[k]
         header.tuned = 1
     return True
+
+
+@compiled
+def expect_later(header, data):
+    """Flag the later sands: a sand solved before them calls them first, by its actuation."""
+    number = header.later
+    while number != 0:
+        block = find_block(data, number)
+        if block == 0:
+            return
+        later = header_at(block)
+        later.current, number = EXPECTED, later.later
 
 
 @compiled
@@ -223,6 +237,7 @@ def copy(to, model, origin, instance):
         return
     mine, other = header_at(ours), header_at(theirs)
     if mine.image != other.image:
+        mine.current = 1
         return
     into = _bytes(mine.results, mine.results_size)
     from_ = _bytes(other.results, other.results_size)
@@ -268,20 +283,25 @@ def compute(model, data, instance, capability):
         update_sensors(model, data, instance, block)
         return
     table = table_at(header.table)
-    if capability == _ACTUATOR:
-        # `mjd_transitionFD` omits passive forces in steps with other controls, which change these.
-        if header.current != 0 or not has_passive_forces(model):
+    if capability == _PASSIVE:
+        if header.current == EARLY:  # added already
+            header.current = 1
             return
+        expect_later(header, data)
+    elif header.current > 0 or not has_passive_forces(model):
+        return
+    # A batch may run this mjData on another model, or move arrays of the same.
+    link_model(block, model, header)
+    if capability == _ACTUATOR and header.current == 0:
+        # `mjd_transitionFD` omits passive forces in steps with other controls, which change these.
         add_wrenches(table, header.qfrc, header.awake, -1.0)
-    header.current = 1
+    header.current = EARLY if capability == _ACTUATOR and header.current == EXPECTED else 1
     header.updating = 0  # it is still set if a user's callback raised
     if header.tuning_count != 0 and not adjust(block, model, data, instance):
         table[memory.OFF] = 1
     waits = header.whole != 0 and is_solved_later(header, data)
     if table[memory.OFF] != 0 and (waits or table[memory.BESIDE] == 0):
         return
-    # A batch may run this mjData on another model, or move arrays of the same.
-    link_model(block, model, header)
     if not is_of_that_shape(header):
         _fail(header.refusals + REFUSAL_SIZE * (len(REFUSED) + 1))
         return
@@ -316,6 +336,7 @@ def advance(model, data, instance):
     elif header.program != 0:
         update = table_at(header.table)[memory.UPDATE]
         if update != 0:
+            link_model(block, model, header)  # a copy made between mj_step1 and mj_step2 is not yet
             call_step(update, header.table, 0.0)
 
 

@@ -57,7 +57,7 @@ class Sand:
     Two `Sand`s, of two beds with two media for example, act in one simulation by `apply`, each once
     between `mj_step1` and `mj_step2`: a `step` of each would be two steps of time. By default they
     must act on different bodies; to act on the same, both need `shared=True`. Under the implicit
-    scheme they are solved together.
+    scheme they are solved together; apply explicit ones first.
 
         first = Sand(model, surface=Bed("dry"), medium="glass_beads", shared=True)
         second = Sand(model, surface=Bed("wet"), medium="play_sand", shared=True)
