@@ -21,6 +21,8 @@ import mujoco
 import numpy as np
 from mujoco.introspect.ast_nodes import PointerType
 
+from mjgranular.engine.config import SENSOR
+from mjgranular.engine.instances import plugin_slot
 from mjgranular.engine.tuning import STATE_SIZE
 from mjgranular.kernel import memory
 from mjgranular.kernel.compiled import compiled
@@ -295,6 +297,7 @@ def senses_forces(model: mujoco.MjModel) -> bool:
     kinds = mujoco.mjtSensor
     readers = (kinds.mjSENS_FORCE, kinds.mjSENS_TORQUE, kinds.mjSENS_USER, kinds.mjSENS_PLUGIN)
     late = model.sensor_needstage == int(mujoco.mjtStage.mjSTAGE_ACC)
+    late &= (model.sensor_plugin < 0) | (model.plugin[model.sensor_plugin] != plugin_slot(SENSOR))
     return bool((late & np.isin(model.sensor_type, [int(kind) for kind in readers])).any())
 
 

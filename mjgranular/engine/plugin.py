@@ -28,7 +28,7 @@ from mjgranular.relief.memory import as_memory
 _logger = logging.getLogger(__name__)
 
 _ACTUATOR, _SENSOR, _PASSIVE = 1 << 0, 1 << 1, 1 << 2  # of mjtPluginCapabilityBit
-_VELOCITY, _ACCELERATION = int(mujoco.mjtStage.mjSTAGE_VEL), int(mujoco.mjtStage.mjSTAGE_ACC)
+_ACCELERATION = int(mujoco.mjtStage.mjSTAGE_ACC)  # what controls change
 _LONGEST = 440  # bytes of a message: MuJoCo cuts at 500, including its own words
 
 _CALLBACKS = (
@@ -240,7 +240,7 @@ _PLUGINS = (
         _ACCELERATION,
         count_state=_count_state,
     ),
-    Plugin(config.SENSOR, config.SENSOR_KEYS, _SENSOR, _VELOCITY, count_values=_count_values),
+    Plugin(config.SENSOR, config.SENSOR_KEYS, _SENSOR, _ACCELERATION, count_values=_count_values),
 )
 
 _engine = Engine()

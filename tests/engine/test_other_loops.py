@@ -156,21 +156,31 @@ FEET = """
 
 @pytest.mark.parametrize("sands", [({},), ({"bodies": "left"}, {"bodies": "right"})])
 def test_derivatives_by_controls_include_what_the_sand_changes(sands: Any) -> None:
-    spec = mujoco.MjSpec.from_string(FEET)
+    sensor = '<sensor><plugin plugin="mjgranular.sensor" objtype="body" objname="left">'
+    sensor += '<config key="measure" value="moment"/><config key="sand" value="sand"/>'
+    sensor += "</plugin></sensor></mujoco>"
+    use = '<mujoco><extension><plugin plugin="mjgranular.sensor"/></extension>'
+    text = FEET.replace("</mujoco>", sensor).replace("<mujoco>", use)
+    spec = mujoco.MjSpec.from_string(text)
     for options in sands:
         add_sand(spec, draw=(), **options)
     model = spec.compile()
     data = mujoco.MjData(model)
     mujoco.mj_step(model, data, 1000)
     nv, eps = model.nv, 1e-5
-    speeds = []
+    speeds, moments = [], []
     for change in (eps, -eps):
         other = copy.copy(data)
         other.ctrl[0] = change
         mujoco.mj_step(model, other)
         speeds.append(other.qvel.copy())
+        moments.append(other.sensordata.copy())
     found, states = np.zeros((2 * nv, 2)), np.zeros((2 * nv, 2 * nv))
-    mujoco.mjd_transitionFD(model, data, eps, True, states, found, None, None)
+    sensed = np.zeros((3, 2))
+    mujoco.mjd_transitionFD(model, data, eps, True, states, found, None, sensed)
     expected_column = (speeds[0] - speeds[1]) / (2 * eps)
     assert np.abs(expected_column).max() > 1e-3
     np.testing.assert_allclose(found[nv:, 0], expected_column, atol=1e-5)
+    expected_column = (moments[0] - moments[1]) / (2 * eps)
+    assert np.abs(expected_column).max() > 1.0
+    np.testing.assert_allclose(sensed[:, 0], expected_column, atol=1e-4)
