@@ -1,6 +1,7 @@
 """Reports of the sand's action on a model at one instant, for people, logs and plots."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Self
 
@@ -134,6 +135,10 @@ class Report:
         if len(self.bodies) > _SHOWN:
             bodies.append(f"{len(self.bodies) - _SHOWN} more")
         return f"Report(t={self.time:.6g} s, {self.medium}, {self.law} law: {'; '.join(bodies)})"
+
+    def __iter__(self) -> Iterator[str]:
+        """Iterate over the names of bodies, as `BodyReport.body` has them."""
+        return (report.body for report in self.bodies)
 
     def __getitem__(self, body: str | int) -> BodyReport:
         """Return the report of a body, by its name or number; a string is a name first.

@@ -108,6 +108,9 @@ def test_a_body_of_a_report_too_goes_by_name_first():
     assert report["toe"] is report["1"] is report[1] is toe
     assert report[2] is unnamed
     assert report["2"] is report["3"] is report[np.int64(3)] is two
+    assert list(report) == ["toe", "2", "2"]
+    assert "toe" in report
+    assert "heel" not in report
 
 
 def test_of_many_names_the_nearest_are_told():
