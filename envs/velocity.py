@@ -138,6 +138,7 @@ class Go1Velocity(Task):
     | `reward_angular` | exp(-e^2 / 0.5), e from the commanded yaw rate [rad/s] | 1.5 |
     | `reward_error` | error of the velocity along the surface [m/s] | 0 |
     | `reward_yaw_error` | error of the yaw rate [rad/s] | 0 |
+    | `reward_height` | how much nearer than 0.1 m the trunk is to where an episode ends [m] | 0 |
     | `reward_upright` | exp(-s^2 / 0.2), s the sine of the tilt from the axis z | 1 |
     | `reward_pose` | exp of minus the mean square deviation from the stance | 0.5 |
     | `reward_gait` | exp(-e^2 / 0.01), e [m] off a trot's heights, 0 for feet sunk in stance | 2 |
@@ -222,6 +223,7 @@ class Go1Velocity(Task):
     angular_weight: float = 1.5
     error_weight: float = 0.0
     yaw_error_weight: float = 0.0
+    height_weight: float = 0.0
     upright_weight: float = 1.0
     pose_weight: float = 0.5
     gait_weight: float = 2.0
@@ -248,21 +250,15 @@ class Go1Velocity(Task):
         for name in ("command_x", "command_y", "command_yaw"):
             if not np.isfinite(getattr(self, name)).all():
                 raise InputError(f"{name} must be a range of finite numbers")
-        shortest, longest = self.settling_time
-        if not 0.0 <= shortest <= longest < math.inf:
-            raise InputError(
-                f"settling_time must be a range of times from 0 s on, not {self.settling_time}"
-            )
-        weakest, strongest = self.motor_strength
-        if not 0.0 < weakest <= strongest < math.inf:
-            raise InputError(
-                f"motor_strength must be a range of positive, finite factors, "
-                f"not {self.motor_strength}"
-            )
+        for name, least in (("settling_time", 0.0), ("motor_strength", 1e-6)):
+            first, last = getattr(self, name)
+            if not least <= first <= last < math.inf:
+                raise InputError(
+                    f"{name} must be a range of finite numbers of at least {least:g}, "
+                    f"not {(first, last)}"
+                )
         for steps in self.delay:
-            check_count("delay", steps, least=0)
-        if max(self.delay) > _LATE:
-            raise InputError(f"delay must be at most {_LATE} steps, not {self.delay}")
+            check_count("delay", steps, least=0, most=_LATE)
 
     def load(self) -> mujoco.MjSpec:
         """Return the robot, from its file."""
@@ -567,6 +563,7 @@ class Go1Velocity(Task):
             "angular": self.angular_weight * _exp(-np.square(yaw) / 0.5),
             "error": -self.error_weight * np.sqrt(np.square(linear[:, :2]).sum(axis=1)),
             "yaw_error": -self.yaw_error_weight * np.abs(yaw),
+            "height": self.height_weight * np.minimum(self._spare(state) - 0.1, 0.0),
             "upright": self.upright_weight * _exp(-tilt / 0.2),
             "pose": self.pose_weight * _exp(-np.square(offset).sum(axis=1) / offset.shape[1]),
             "gait": self.gait_weight * _exp(-np.square(stray).sum(axis=1) / 0.01),
@@ -578,9 +575,13 @@ class Go1Velocity(Task):
         return {f"reward_{name}": self.dt * value for name, value in terms.items()}
 
     def terminated(self, state: State) -> np.ndarray:
+        upright = _to_body(state.qpos, (0.0, 0.0, 1.0))[2] > _TILT
+        return ~((self._spare(state) > 0.0) & upright)
+
+    def _spare(self, state: State) -> np.ndarray:
+        """Return how far the trunk is above where an episode ends [m], shape (n,)."""
         trunk = state.qpos[:, None, :3]
-        high = state.qpos[:, 2] - self._ground(state, trunk)[:, 0] > self._low
-        return ~(high & (_to_body(state.qpos, (0.0, 0.0, 1.0))[2] > _TILT))
+        return state.qpos[:, 2] - self._ground(state, trunk)[:, 0] - self._low
 
     def velocity(self, state: State) -> np.ndarray:
         """Return velocities of the trunk in its own frame [m/s], shape (n, 3)."""

@@ -121,15 +121,12 @@ def table_of(scores: list[Score], seeds: int) -> Table:
     if any("x_velocity" in score.episodes.figures for score in scores):
         columns["speed [m/s]"] = lambda score: str(score.figure("x_velocity") or "")
     if any("sand/valid" in score.episodes.figures for score in scores):
-        columns["law held"] = _share_valid
+        columns["law held"] = lambda score: (
+            f"{figure.mean:.0%}" if (figure := score.figure("sand/valid")) else ""
+        )
     title = f"Mean of {seeds} seeds ± half the 95 % interval{where}"
     rows = ([cell(score) for cell in columns.values()] for score in scores)
     return table(title, columns, rows, words=words, fold=True)
-
-
-def _share_valid(score: Score) -> str:
-    valid = score.figure("sand/valid")
-    return "" if valid is None else f"{valid.mean:.0%}"
 
 
 def find_actor(

@@ -275,6 +275,17 @@ def test_a_fall_ends_the_episode():
     assert env.task.terminated(env._state)[0]
 
 
+def test_a_trunk_near_the_sand_is_penalized():
+    env = SandEnv(Go1Velocity(height_weight=10.0, **STILL))
+    env.reset(seed=0)
+    for height in (0.12, 0.15, 0.17, 0.3):
+        env.data.qpos[2] = height
+        *_, info = env.step(np.zeros(12))
+        spare = env.data.qpos[2] - 0.06  # where an episode ends
+        wanted = 10.0 * env.task.dt * min(spare - 0.1, 0.0)
+        assert info["reward_height"] == pytest.approx(wanted, abs=1e-5)
+
+
 def test_heights_are_those_over_the_drawn_surface():
     task = Go1Velocity(randomise={"surfaces": ("plane", "dunes")})
     state = SimpleNamespace(active=np.array([1, 0]))
@@ -437,12 +448,12 @@ def test_a_delay_gives_the_targets_of_an_earlier_step():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"motor_strength": (0.0, 1.0)}, "positive, finite factors"),
-        ({"delay": (0, 9)}, "at most 3 steps"),
+        ({"motor_strength": (0.0, 1.0)}, "motor_strength must be a range"),
+        ({"delay": (0, 9)}, "delay must be at most 3"),
         ({"delay": (0, 0.5)}, "delay must be an integer"),
         ({"delay": (True, 2)}, "delay must be an integer"),
         ({"motor_strength": 1.0}, "range"),
-        ({"settling_time": (-0.1, 0.5)}, "range of times from 0 s on"),
+        ({"settling_time": (-0.1, 0.5)}, "settling_time must be a range"),
         ({"settling_time": (0.5, 0.1)}, "range"),
     ],
 )
