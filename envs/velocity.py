@@ -580,8 +580,7 @@ class Go1Velocity(Task):
 
     def _spare(self, state: State) -> np.ndarray:
         """Return how far the trunk is above where an episode ends [m], shape (n,)."""
-        trunk = state.qpos[:, None, :3]
-        return state.qpos[:, 2] - self._ground(state, trunk)[:, 0] - self._low
+        return state.qpos[:, 2] - self._ground(state, state.qpos[:, None, :3])[:, 0] - self._low
 
     def velocity(self, state: State) -> np.ndarray:
         """Return velocities of the trunk in its own frame [m/s], shape (n, 3)."""
