@@ -54,14 +54,14 @@ def register_task(task: type[Task]) -> str:
     name = task.__name__
     tasks.add(name, task)
     identity = id_of(name)
-    if identity not in gym.registry:
-        gym.register(
-            id=identity,
-            entry_point="mjgranular.envs.single:SandEnv",
-            vector_entry_point="mjgranular.envs.vector:SandVectorEnv",
-            max_episode_steps=task.episode,
-            kwargs={"task": name},
-        )
+    gym.registry.pop(identity, None)  # an old one may have another time limit
+    gym.register(
+        id=identity,
+        entry_point="mjgranular.envs.single:SandEnv",
+        vector_entry_point="mjgranular.envs.vector:SandVectorEnv",
+        max_episode_steps=task.episode,
+        kwargs={"task": name},
+    )
     return identity
 
 

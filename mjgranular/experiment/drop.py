@@ -47,7 +47,8 @@ class Drop(PlainSand):
 
     Attributes:
         model: the MJCF file, or the name of a robot (`models.robot_path`).
-        keyframe: name of the keyframe to start from. Default: the model as it is.
+        keyframe: name of the keyframe to start from, or number of an unnamed one. Default: the
+            model as it is.
         height: initial height of the lowest point above the surface [m]. Default: as the model is.
         velocity: velocity at the start, down [m/s].
         duration: simulated time [s].
@@ -356,11 +357,10 @@ def start_from(model: mujoco.MjModel, data: mujoco.MjData, keyframe: str | None)
     """Set the state of a keyframe; None to change nothing."""
     if keyframe is None:
         return
-    key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, keyframe)
-    if key < 0:
-        known = [model.key(k).name for k in range(model.nkey)]
+    known = [model.key(k).name or str(k) for k in range(model.nkey)]
+    if keyframe not in known:
         raise UnknownNameError("keyframe of the model", keyframe, known)
-    mujoco.mj_resetDataKeyframe(model, data, key)
+    mujoco.mj_resetDataKeyframe(model, data, known.index(keyframe))
 
 
 def _place(drop: Drop, model: mujoco.MjModel, data: mujoco.MjData, sand: Sand) -> None:

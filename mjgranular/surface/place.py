@@ -10,13 +10,17 @@ from mjgranular.shape.select import Choice, find_all
 from mjgranular.shape.sizes import geom_type, name_of
 
 
+def check_geom(name: object, word: str) -> None:
+    """Check that the geom of a surface is given by its name."""
+    if not isinstance(name, str):
+        raise InputError(f"a {word} is given by the name of its geom, not by {shown(name)}")
+
+
 def find_geom(model: mujoco.MjModel, name: str, kind: mujoco.mjtGeom, word: str) -> int:
     """Return the id of a geom of that name and type that is fixed to the world.
 
     Its contacts are disabled in the model: bodies meet the sand only through its law.
     """
-    if not isinstance(name, str):
-        raise InputError(f"a {word} is given by the name of its geom, not by {shown(name)}")
     geom = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, name)
     shape = kind.name.removeprefix("mjGEOM_").lower()
     if geom < 0:

@@ -17,7 +17,7 @@ from mjgranular.kernel.compiled import check_compiled, compiled, entry
 from mjgranular.kernel.memory import records
 from mjgranular.kernel.vector import dot, norm, read_matrix, read_vector, transposed, vector
 from mjgranular.shape.sizes import check_extents
-from mjgranular.surface.place import find_geom, tilt_of, world_pose
+from mjgranular.surface.place import check_geom, find_geom, tilt_of, world_pose
 
 
 class Surface(ABC):
@@ -233,6 +233,9 @@ class Bed(Surface):
 
     geom: str
 
+    def __post_init__(self) -> None:
+        check_geom(self.geom, "bed")
+
     def record(self, model: mujoco.MjModel) -> np.ndarray:
         geom = find_geom(model, self.geom, mujoco.mjtGeom.mjGEOM_BOX, "bed")
         position, axes = world_pose(model, geom)
@@ -315,6 +318,9 @@ class HeightField(Surface):
     probe: ClassVar[Any] = height_field_probe
 
     geom: str
+
+    def __post_init__(self) -> None:
+        check_geom(self.geom, "height field")
 
     def record(self, model: mujoco.MjModel) -> np.ndarray:
         geom = find_geom(model, self.geom, mujoco.mjtGeom.mjGEOM_HFIELD, "height field")

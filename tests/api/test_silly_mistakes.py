@@ -263,7 +263,11 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
         lambda: sand(surface=mg.Bed("tary")),
         "no box geom of the model 'tary' ... did you mean tray?",
     ),
-    "number for a bed": (lambda: sand(surface=mg.Bed(7)), "a bed is given by the name of its geom"),
+    "number for a bed": (lambda: mg.Bed(7), "a bed is given by the name of its geom, not by 7"),
+    "number for a height field": (
+        lambda: mg.HeightField(0),
+        "a height field is given by the name of its geom, not by 0",
+    ),
     "bed that moves": (lambda: sand(surface=mg.Bed("block")), "geom 'block' is on body 'block'"),
     "height field that is a box": (
         lambda: sand(surface=mg.HeightField("tray")),

@@ -21,7 +21,7 @@ from mjgranular.envs import SandEnv, on_sand, tasks
 from mjgranular.envs.gaits import gait, gaits
 from mjgranular.envs.ground import RIGID
 from mjgranular.envs.gym_robots import Hopper
-from mjgranular.envs.ids import id_of
+from mjgranular.envs.ids import id_of, register_task
 from mjgranular.law.validity import findings_of, found_at
 from mjgranular.models import Link
 
@@ -414,6 +414,16 @@ def test_ids_are_registered_by_the_import():
     code = "import gymnasium; print(gymnasium.make('mjgranular.envs:mjgranular/LinkDrop-v0'))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert "SandEnv" in done.stdout
+
+
+def test_a_task_that_is_defined_again_has_its_own_time_limit(monkeypatch):
+    monkeypatch.setattr(tasks, "_things", dict(tasks))
+    limits = []
+    for steps in (3, 7):
+        identity = register_task(type("Again", (tasks["ChainCrawl"],), {"episode": steps}))
+        limits.append(gym.make(identity).spec.max_episode_steps)
+    gym.registry.pop(identity)
+    assert limits == [3, 7]
 
 
 def test_gaits_act_within_the_limits():

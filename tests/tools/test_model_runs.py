@@ -11,6 +11,7 @@ from mjgranular import errors
 from mjgranular.calibrate import Body, Run, simulate
 from mjgranular.cli import main
 from mjgranular.experiment import Drop, Impact, run_drop, run_impact
+from mjgranular.experiment.drop import start_from
 from mjgranular.experiment.intrusion import Intrusion, run_intrusion
 from mjgranular.models import Projectile, model_path
 
@@ -67,6 +68,17 @@ def test_the_sampled_forces_are_those_with_the_controls(tmp_path):
     path.write_text(SERVO)
     result = run_drop(Drop(path, keyframe="up", duration=1.5, bodies="foot"))
     assert result.force[-1, 0, 2] == pytest.approx(4.5 * 9.81, rel=1e-3)
+
+
+def test_keyframes_without_a_name_have_a_number():
+    model = mujoco.MjModel.from_xml_string(SERVO.replace('name="up" ', ""))
+    data = mujoco.MjData(model)
+    start_from(model, data, "0")
+    assert data.qpos[-1] == 0.05
+    with pytest.raises(
+        errors.UnknownNameError, match="no keyframe of the model 'up'; there are: 0"
+    ):
+        start_from(model, data, "up")
 
 
 def test_a_model_of_which_a_part_turns_is_not_at_rest(tmp_path):
