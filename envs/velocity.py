@@ -253,10 +253,7 @@ class Go1Velocity(Task):
         for name, least in (("settling_time", 0.0), ("motor_strength", 1e-6)):
             first, last = getattr(self, name)
             if not least <= first <= last < math.inf:
-                raise InputError(
-                    f"{name} must be a range of finite numbers of at least {least:g}, "
-                    f"not {(first, last)}"
-                )
+                raise InputError(f"{name} must be a range from {least:g} on, not {(first, last)}")
         for steps in self.delay:
             check_count("delay", steps, least=0, most=_LATE)
 
@@ -323,7 +320,7 @@ class Go1Velocity(Task):
         if not spheres:
             raise InputError(f"the body {foot.name} must have a sphere that collides: its foot")
         lowest = min(spheres, key=lambda geom: geom.pos[2])
-        foot.add_site(name=_sole_name(foot.name), pos=lowest.pos, size=lowest.size, group=5)
+        foot.add_site(name=f"{foot.name} sole", pos=lowest.pos, size=lowest.size, group=5)
 
     @cached_property
     def _rows(self) -> _Rows:
@@ -362,7 +359,7 @@ class Go1Velocity(Task):
     @cached_property
     def _feet(self) -> list[int]:
         """Rows of the feet in `site_xpos`."""
-        return [self.model.site(_sole_name(foot)).id for foot in self.feet]
+        return [self.model.site(f"{foot} sole").id for foot in self.feet]
 
     @cached_property
     def _radius(self) -> float:
@@ -758,16 +755,12 @@ class G1Velocity(Go1Velocity):
         for geom in hard:
             geom.contype = geom.conaffinity = 0
         middle, halves = (low + high) / 2, (high - low) / 2
-        name = _sole_name(foot.name)
+        name = f"{foot.name} sole"
         foot.add_geom(
             name=name, type=mujoco.mjtGeom.mjGEOM_BOX, pos=middle, size=halves, mass=0.0,
             conaffinity=1, group=3, friction=hard[0].friction,
         )  # fmt: skip
         foot.add_site(name=name, pos=middle, size=[halves[2], 0.0, 0.0], group=5)
-
-
-def _sole_name(foot: str) -> str:
-    return f"{foot} sole"
 
 
 def _add_motor(spec: mujoco.MjSpec, joint: mujoco.MjsJoint, motor: Motor) -> None:

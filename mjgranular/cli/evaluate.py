@@ -121,9 +121,7 @@ def table_of(scores: list[Score], seeds: int) -> Table:
     if any("x_velocity" in score.episodes.figures for score in scores):
         columns["speed [m/s]"] = lambda score: str(score.figure("x_velocity") or "")
     if any("sand/valid" in score.episodes.figures for score in scores):
-        columns["law held"] = lambda score: (
-            f"{figure.mean:.0%}" if (figure := score.figure("sand/valid")) else ""
-        )
+        columns["law held"] = lambda s: f"{v.mean:.0%}" if (v := s.figure("sand/valid")) else ""
     title = f"Mean of {seeds} seeds ± half the 95 % interval{where}"
     rows = ([cell(score) for cell in columns.values()] for score in scores)
     return table(title, columns, rows, words=words, fold=True)

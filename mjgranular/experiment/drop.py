@@ -47,8 +47,7 @@ class Drop(PlainSand):
 
     Attributes:
         model: the MJCF file, or the name of a robot (`models.robot_path`).
-        keyframe: name of the keyframe to start from, or number of an unnamed one. Default: the
-            model as it is.
+        keyframe: the keyframe to start from, by name, or by number if it has none. Default: none.
         height: initial height of the lowest point above the surface [m]. Default: as the model is.
         velocity: velocity at the start, down [m/s].
         duration: simulated time [s].

@@ -137,7 +137,6 @@ class Report:
         return f"Report(t={self.time:.6g} s, {self.medium}, {self.law} law: {'; '.join(bodies)})"
 
     def __iter__(self) -> Iterator[str]:
-        """Iterate over the names of bodies, as `BodyReport.body` has them."""
         return (report.body for report in self.bodies)
 
     def __getitem__(self, body: str | int) -> BodyReport:
