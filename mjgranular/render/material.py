@@ -20,11 +20,13 @@ COLOR = (0.83, 0.71, 0.53, 1.0)
 NOT_SHOWN = 5
 """Geom group that is hidden."""
 
+DEFAULT = (0.5, 0.5, 0.5, 1.0)
+"""Color of a geom whose color is not set."""
+
 _DARK, _BRIGHT, _DARK_SHARE = (0.75, 0.62, 0.44), (0.88, 0.77, 0.58), 0.4
 _PIXELS = 256  # along an edge of the texture
 _PARALLEL = 0.999  # cosine of the largest angle between faces that hide each other
 _SHOWN = 3  # number of geom groups that viewers and renderers show by default
-_DEFAULT = (0.5, 0.5, 0.5, 1.0)  # color of a geom whose color is not set
 
 _CORNERS = np.array([-64.0, -10.0, -3.0, -1.0, 0.0, 1.0, 3.0, 10.0, 64.0])
 _MIDDLES, _HALVES = (_CORNERS[1:] + _CORNERS[:-1]) / 2, np.diff(_CORNERS) / 2
@@ -59,7 +61,7 @@ def add_material(spec: mujoco.MjSpec, *, tile: float = TILE) -> str:
 
 def paint(geom: mujoco.MjsGeom, material: str) -> None:
     """Give a geom that is sand its material, unless it has its own color or material."""
-    if not geom.material and np.allclose(geom.rgba, _DEFAULT):
+    if not geom.material and np.allclose(geom.rgba, DEFAULT):
         geom.material = material
         geom.rgba = [1.0, 1.0, 1.0, 1.0]
 

@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 
 from mjgranular.relief.memory import EXTENT, Memory
+from mjgranular.render.material import DEFAULT
 
 SKIN = "mjgranular_prints"
 """Name of the skin; a space and the name of the sand follow."""
@@ -56,6 +57,8 @@ def add_skin(
     name = f"{SKIN} {sand}"
     if any(skin.name == name for skin in spec.skins):
         return
+    if np.allclose(rgb, DEFAULT[:3]) and (painted := spec.material(material)):
+        rgb = painted.rgba[:3]  # MuJoCo takes that gray of a geom for no color
     lines = lines_of(memory)
     count = vertex_count(lines)
     spec.add_skin(

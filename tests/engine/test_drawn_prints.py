@@ -237,6 +237,31 @@ def test_a_film_has_prints_where_the_run_had_them() -> None:
         np.testing.assert_allclose(drawn, heights[i, j], atol=1.1e-3 * CELL)
 
 
+@pytest.mark.parametrize(
+    ("look", "color"),
+    [
+        ('material="brown"', [0.3, 0.1, 0.2]),
+        ('material="green" rgba="0.2 0.5 0.2 1"', [0.2, 0.5, 0.2]),
+        ('rgba="0.1 0.2 0.3 1"', [0.1, 0.2, 0.3]),
+        ('name="bed"', [1.0, 1.0, 1.0]),  # the texture of sand
+    ],
+)
+def test_a_bed_with_prints_has_the_color_of_its_geom(look: str, color: list[float]) -> None:
+    name = look.split('"')[1]
+    spec = mujoco.MjSpec.from_string(f"""<mujoco>
+      <asset><material name="{name}" rgba="0.3 0.1 0.2 1"/></asset>
+      <worldbody>
+      <geom name="bed" type="box" size="1 1 1" pos="0 0 -1" {look.replace('name="bed"', "")}/>
+      {BALL}</worldbody></mujoco>""")
+    add_sand(spec, surface=Bed("bed"), **SAND)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    drawn = [geom.rgba for geom in scene_of(model, data).geoms if geom.matid == model.skin_matid]
+    np.testing.assert_allclose(model.skin_rgba[0, :3], color)
+    np.testing.assert_allclose(drawn[0], [*color, 1.0])
+
+
 def test_a_skin_of_another_memory_is_an_error() -> None:
     spec = spec_of(GROUNDS["plane"])
     show_prints(spec, SandSpec(memory=0.02))
