@@ -37,8 +37,7 @@ class DropCommand(FilmOptions, options_of(Drop, without=("model",))):
         if self.video and self.camera is not None:
             check_camera(load(drop)[0], camera)
         problems: list[GranularError] = []
-        names = *RUN_FILES, FIGURE, FILM
-        with self.claimed(*names, command="drop", config=asdict(drop)) as folder:
+        with self.claimed(*RUN_FILES, FIGURE, FILM, command="drop", config=asdict(drop)) as folder:
             with progress_bar("running the model", drop.duration) as progress:
                 result = run_drop(drop, progress=progress)
             if folder is not None:

@@ -36,8 +36,7 @@ class ImpactCommand(FilmOptions, options_of(Impact)):
             check_camera(impact.link.spec().compile(), film.camera)
         # The law may be None here, and is named in the file.
         config = {name: value for name, value in asdict(impact).items() if name != "law" or value}
-        names = *RUN_FILES, *FIGURES, VIDEO
-        with self.claimed(*names, command="impact", config=config) as folder:
+        with self.claimed(*RUN_FILES, *FIGURES, VIDEO, command="impact", config=config) as folder:
             with progress_bar("dropping the link", impact.duration) as progress:
                 result = run_impact(impact, progress=progress)
             if folder is not None:

@@ -20,9 +20,7 @@ COLOR = (0.83, 0.71, 0.53, 1.0)
 NOT_SHOWN = 5
 """Geom group that is hidden."""
 
-DEFAULT = (0.5, 0.5, 0.5, 1.0)
-"""Color of a geom whose color is not set."""
-
+DEFAULT = (0.5, 0.5, 0.5, 1.0)  # color of a geom whose color is not set
 _DARK, _BRIGHT, _DARK_SHARE = (0.75, 0.62, 0.44), (0.88, 0.77, 0.58), 0.4
 _PIXELS = 256  # along an edge of the texture
 _PARALLEL = 0.999  # cosine of the largest angle between faces that hide each other
