@@ -61,7 +61,7 @@ class Implicit(Scheme):
 
     Attributes:
         evaluations: limit on evaluations of all forces per step. If the law's forces are not found
-            by then, the step uses softer ones, and is counted (`Report.solver`).
+            by then, the step uses damping, and is counted (`Report.solver`).
     """
 
     name: ClassVar[str] = "implicit"

@@ -44,9 +44,9 @@ _TURNED = 0.1  # square of the difference between a multiplier and its velocity'
 # are driven at random.
 _SLOW = 0.1
 _BEGUN = 10.0  # largest ratio of the softness at the velocity found for which it is retried
-# Limits for Newton's method: from rest, in motion, with another softness, after damping, and to
-# evaluate only. Not literals: numba would compile a function for each. Chosen.
-_STEPS_NEAR, _STEPS, _STEPS_SOFT, _STEPS_FROM_NEAR, _NO_STEPS = map(np.int64, (8, 40, 6, 12, 0))
+# Limits for Newton's method: from rest, in motion, with another softness, and after damping. Not
+# literals: numba would compile a function for each. Chosen.
+_STEPS_NEAR, _STEPS, _STEPS_SOFT, _STEPS_FROM_NEAR = map(np.int64, (8, 40, 6, 12))
 _ROUNDS = 3  # of damping and Newton's method; chosen
 # For `continuation`: the softness at its beginning, in parts of the speeds, and the factor by which
 # it grows if there is no solution; the least ratio of one softness to the last, and the steps of
@@ -97,29 +97,34 @@ def find_velocity(table, w):
     if error <= UNFINISHED * w.scale:
         return done, error / w.scale
 
-    # Damping leads close to the solution, and Newton's method starts over from there.
+    # Damping leads close to the solution, and Newton's method starts over from there. At last the
+    # step is made with damping: each element's force opposes the velocity that results.
     copy(velocity, w.start)
-    for _ in range(_ROUNDS):
+    for trial in range(_ROUNDS + 1):
+        if trial == _ROUNDS:
+            more, error = continuation(table, w, loose, fine, goal, w.evaluations - done - DAMPINGS)
+            done += more
+            if error <= UNFINISHED * w.scale:
+                break
         error = damp(table, w, fine)
         done += DAMPINGS
-        if done >= w.evaluations:
-            return done, error / w.scale
+        if trial == _ROUNDS or done >= w.evaluations:
+            break
         copy(w.near, velocity)
         more, error = newton(table, w, Search(FRESH, fine, fine, goal, _STEPS_FROM_NEAR, math.inf))
         done += more
         if error <= UNFINISHED * w.scale:
-            return done, error / w.scale
+            break
         copy(velocity, w.near)
-    more, error = continuation(table, w, loose, fine, goal, w.evaluations - done)
-    return done + more, error / w.scale
+    return done, error / w.scale
 
 
 @compiled
 def continuation(table, w, coarse, fine, goal, most):
     """Follow the solution from a large softness, where it is nearly linear, down to `fine`.
 
-    After `most` evaluations the step is made with the softness reached. Return the evaluations and
-    the residual of the law's own forces.
+    Return the evaluations and the residual. After `most` evaluations it is infinite, and the
+    velocity the one at the softness reached, or at the start if there is none.
     """
     velocity, near, before = w.velocity, w.near, w.found
     copy(near, w.start)
@@ -127,14 +132,15 @@ def continuation(table, w, coarse, fine, goal, most):
     eps, share = _SOFTEST * (fastest(table, w) + coarse), _SHARE
     reached = last = math.inf  # the softness at `near` and at `before`
     done = 0
-    while done < most or (reached == math.inf and eps < _NO_FORCE):
+    while done < most and (reached < math.inf or eps < _NO_FORCE):
         # Extrapolated linearly: what holds moves in proportion to the softness.
         beyond = (eps - reached) / (reached - last) if last < math.inf else 0.0
         for j in range(w.nv):
             velocity[j] = near[j] + beyond * (near[j] - before[j])
         loose = eps if last < math.inf else min(reached, _SOFTER * eps)
         target = goal if eps == fine else _ON_PATH * w.scale
-        more, error = newton(table, w, Search(FRESH, loose, eps, target, _STEPS_SOFT, math.inf))
+        steps = _STEPS_SOFT if reached < math.inf else _STEPS
+        more, error = newton(table, w, Search(FRESH, loose, eps, target, steps, math.inf))
         done += more
         if error <= UNFINISHED * w.scale:
             if eps == fine:
@@ -150,10 +156,7 @@ def continuation(table, w, coarse, fine, goal, most):
             continue
         eps = max(fine, share * reached)
     copy(velocity, near)
-    reached = min(reached, eps)
-    _, error = newton(table, w, Search(FRESH, fine, fine, goal, _NO_STEPS, math.inf))
-    newton(table, w, Search(FRESH, reached, reached, goal, _NO_STEPS, math.inf))
-    return done, error
+    return done, math.inf
 
 
 @compiled

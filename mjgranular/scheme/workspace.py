@@ -31,7 +31,7 @@ class Solver:
         evaluations: evaluations of all forces, summed over these steps.
         most: the largest number of evaluations in one step.
         unfinished: steps in which the law's forces leave more than a millionth of the momentum
-            scale unbalanced; they use softer forces, which dissipate energy.
+            scale unbalanced; they use damping, which dissipates energy.
         residual: unbalanced momentum of the last step, in parts of the momentum scale; or inf.
         worst: largest residual of all steps.
     """
