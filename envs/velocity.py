@@ -341,7 +341,6 @@ class Go1Velocity(Task):
 
     @cached_property
     def _pairs(self) -> np.ndarray:
-        """Signs of the legs: those of one sign swing together."""
         return np.array([*self.feet.values()])
 
     @cached_property
@@ -439,8 +438,6 @@ class Go1Velocity(Task):
         limit = self.push_scale * _PUSH_SIZE
         table[:, 1:] = random.uniform(-limit, limit, (_PUSHES, 6))
         return table
-
-    # A step.
 
     def mark(self, state: State) -> tuple[np.ndarray, np.ndarray]:
         return state.userdata[:, self._rows.action].copy(), state.site_xpos.take(self._feet, axis=1)
