@@ -25,10 +25,7 @@ class Figures:
     """
 
     def __init__(
-        self,
-        model: mujoco.MjModel,
-        sands: Sequence[SandSpec],
-        readings: SandReadings | None = None,
+        self, model: mujoco.MjModel, sands: Sequence[SandSpec], readings: SandReadings | None = None
     ) -> None:
         self.sands = names = sands_in(model)
         # Where the readings of each sand begin: force, depth, power, speed.

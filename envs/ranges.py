@@ -239,11 +239,7 @@ class Sample:
     place: float = 0.0  # x at which the robot starts [m]; 0 without dunes
 
     def lay(
-        self,
-        model: mujoco.MjModel,
-        figures: Figures,
-        plugin_state: np.ndarray,
-        gravity: np.ndarray,
+        self, model: mujoco.MjModel, figures: Figures, plugin_state: np.ndarray, gravity: np.ndarray
     ) -> None:
         """Apply it to a simulation: write to its plugin state and its gravity."""
         factors = {"strength": self.strength, "density": self.density}

@@ -125,11 +125,7 @@ class Simulator:
 
 
 def simulate(
-    run: Run,
-    medium: Medium | str,
-    law: Law | str | None = None,
-    *,
-    timestep: float = TIMESTEP,
+    run: Run, medium: Medium | str, law: Law | str | None = None, *, timestep: float = TIMESTEP
 ) -> Motion:
     """Simulate a measured run with a law.
 

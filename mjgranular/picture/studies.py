@@ -95,10 +95,7 @@ def _draw_line(axes: Any, columns: Mapping[str, Sequence[Any]], x: Axis, y: Axis
 
 
 def _draw_over(
-    axes: Any,
-    columns: Mapping[str, Sequence[Any]],
-    inputs: Sequence[Axis],
-    outcome: Axis,
+    axes: Any, columns: Mapping[str, Sequence[Any]], inputs: Sequence[Axis], outcome: Axis
 ) -> Any:
     """Draw colors over the plane of two fields; return the mappable for a color bar."""
     (x, x_names), (y, y_names) = (_places(columns[one.column]) for one in inputs)
