@@ -150,8 +150,9 @@ class Go1Velocity(Task):
     The exponentials are flat near zero: with `error_weight=9` and `yaw_error_weight=1.5`, times
     which the errors themselves are subtracted, commands are followed more closely. Deviations from
     the stance count in units of 0.3 rad, of calves 0.6 rad; a third of that if the command is to
-    stand. Tilt and motion along the surface are relative to the plane z = 0, which is the surface
-    on level sand and on sampled slopes, but not on dunes or a `Plane` with a slope.
+    stand. The 0.1 m of `reward_height` are chosen, not measured. Tilt and motion along the surface
+    are relative to the plane z = 0, which is the surface on level sand and on sampled slopes, but
+    not on dunes or a `Plane` with a slope.
 
     ## Starting State
     In its stance on the surface, heading anywhere; joints are off by up to `reset_noise_scale` rad
@@ -253,7 +254,10 @@ class Go1Velocity(Task):
         for name, least in (("settling_time", 0.0), ("motor_strength", 1e-6)):
             first, last = getattr(self, name)
             if not least <= first <= last < math.inf:
-                raise InputError(f"{name} must be a range from {least:g} on, not {(first, last)}")
+                raise InputError(
+                    f"{name} must be a range of finite numbers of at least {least:g}, "
+                    f"not {(first, last)}"
+                )
         for steps in self.delay:
             check_count("delay", steps, least=0, most=_LATE)
 
@@ -320,7 +324,7 @@ class Go1Velocity(Task):
         if not spheres:
             raise InputError(f"the body {foot.name} must have a sphere that collides: its foot")
         lowest = min(spheres, key=lambda geom: geom.pos[2])
-        foot.add_site(name=f"{foot.name} sole", pos=lowest.pos, size=lowest.size, group=5)
+        foot.add_site(name=_sole_name(foot.name), pos=lowest.pos, size=lowest.size, group=5)
 
     @cached_property
     def _rows(self) -> _Rows:
@@ -341,6 +345,7 @@ class Go1Velocity(Task):
 
     @cached_property
     def _pairs(self) -> np.ndarray:
+        """Signs of the legs: those of one sign swing together."""
         return np.array([*self.feet.values()])
 
     @cached_property
@@ -358,7 +363,7 @@ class Go1Velocity(Task):
     @cached_property
     def _feet(self) -> list[int]:
         """Rows of the feet in `site_xpos`."""
-        return [self.model.site(f"{foot} sole").id for foot in self.feet]
+        return [self.model.site(_sole_name(foot)).id for foot in self.feet]
 
     @cached_property
     def _radius(self) -> float:
@@ -438,6 +443,8 @@ class Go1Velocity(Task):
         limit = self.push_scale * _PUSH_SIZE
         table[:, 1:] = random.uniform(-limit, limit, (_PUSHES, 6))
         return table
+
+    # A step.
 
     def mark(self, state: State) -> tuple[np.ndarray, np.ndarray]:
         return state.userdata[:, self._rows.action].copy(), state.site_xpos.take(self._feet, axis=1)
@@ -752,12 +759,16 @@ class G1Velocity(Go1Velocity):
         for geom in hard:
             geom.contype = geom.conaffinity = 0
         middle, halves = (low + high) / 2, (high - low) / 2
-        name = f"{foot.name} sole"
+        name = _sole_name(foot.name)
         foot.add_geom(
             name=name, type=mujoco.mjtGeom.mjGEOM_BOX, pos=middle, size=halves, mass=0.0,
             conaffinity=1, group=3, friction=hard[0].friction,
         )  # fmt: skip
         foot.add_site(name=name, pos=middle, size=[halves[2], 0.0, 0.0], group=5)
+
+
+def _sole_name(foot: str) -> str:
+    return f"{foot} sole"
 
 
 def _add_motor(spec: mujoco.MjSpec, joint: mujoco.MjsJoint, motor: Motor) -> None:

@@ -98,7 +98,8 @@ def find_velocity(table, w):
         return done, error / w.scale
 
     # Damping leads close to the solution, and Newton's method starts over from there. At last the
-    # step is made with damping: each element's force opposes the velocity that results.
+    # step is made with damping: each element's force opposes the velocity that results. All in one
+    # loop, since a second call of `damp` would be compiled again.
     copy(velocity, w.start)
     for trial in range(_ROUNDS + 1):
         if trial == _ROUNDS:
