@@ -36,6 +36,7 @@ class _PlainConsole(Console):
 
 out = _PlainConsole()
 err = _PlainConsole(stderr=True)
+note = err.print  # remarks
 
 
 def print_json(content: Any) -> None:
@@ -70,11 +71,6 @@ def table(
     for row in rows:
         made.add_row(*row)
     return made
-
-
-def note(text: str) -> None:
-    """Print a remark to standard error."""
-    err.print(text)
 
 
 def show_error(message: str) -> None:

@@ -272,8 +272,5 @@ def collected(problems: list[GranularError]) -> Iterator[None]:
 def write_film(folder: ResultFolder, name: str, film: Film, frames: Frames) -> None:
     """Write a film with a progress bar."""
     with progress_bar("filming", 1.0, remaining=True) as show:
-
-        def write(path: Path) -> None:
-            write_video(path, film, *frames, progress=lambda done, count: show(done / count))
-
-        folder.write(name, write)
+        options: Any = {"progress": lambda done, count: show(done / count)}
+        folder.write(name, lambda path: write_video(path, film, *frames, **options))
