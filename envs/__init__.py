@@ -13,7 +13,6 @@ from mjgranular._util.checks import require
 for _package in ("gymnasium", "gymnasium.envs.mujoco.mujoco_env", "imageio"):
     require(_package, extra="envs", purpose="mjgranular.envs")
 
-from mjgranular.envs.ids import register
 from mjgranular.envs.ranges import SandRanges as SandRanges
 from mjgranular.envs.robots import on_sand as on_sand
 from mjgranular.envs.single import SandEnv as SandEnv
@@ -23,5 +22,3 @@ from mjgranular.envs.task import Task as Task
 from mjgranular.envs.task import tasks as tasks
 from mjgranular.envs.vector import SandVectorEnv as SandVectorEnv
 from mjgranular.envs.vector import WarpVectorEnv as WarpVectorEnv
-
-register()

@@ -65,10 +65,8 @@ def register_task(task: type[Task]) -> str:
     return identity
 
 
-def register() -> None:
-    """Register the package's tasks; can be called repeatedly."""
-    for task in _OURS:
-        register_task(task)
+for _task in _OURS:
+    register_task(_task)
 
 
 def find_spec(env_id: Any) -> EnvSpec:
