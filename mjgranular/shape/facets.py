@@ -7,6 +7,7 @@ from typing import Literal
 import mujoco
 import numpy as np
 
+from mjgranular._util.checks import check_count
 from mjgranular.shape import patches, sizes, tessellation
 from mjgranular.shape.rigid import exposures, in_own_frames, join_faces
 from mjgranular.shape.shells import mesh_arrays, mesh_faces, within_others
@@ -73,7 +74,8 @@ def facets_from_model(
     if resolution is None:
         rings = sizes.resolutions(model, ordered)
     else:
-        rings = [sizes.check_resolution(resolution, 2, FINEST)] * len(ordered)
+        check_count("the resolution", resolution, 2, FINEST)
+        rings = [int(resolution)] * len(ordered)
     model = copy.copy(model)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
+from mjgranular._util.checks import check_count
 from mjgranular.errors import InputError
 from mjgranular.shape import sizes
 
@@ -54,7 +55,8 @@ def rods_from_model(model: mujoco.MjModel, geoms: Sequence[int]) -> np.ndarray:
 
 def cut_rods(rods: np.ndarray, pieces: int) -> np.ndarray:
     """Divide every rod into a number of pieces of equal length, each a rod, shape (n * pieces,)."""
-    pieces = sizes.check_resolution(pieces, 1, MOST_PIECES)
+    check_count("the resolution", pieces, 1, MOST_PIECES)
+    pieces = int(pieces)
     sizes.check_count(len(rods) * pieces)
     cut = np.repeat(rods, pieces)
     # Centers of the pieces along the axis, in half-lengths: symmetric to the last bit.

@@ -1,12 +1,10 @@
 """Names and sizes of geoms, limits on sizes and on numbers of elements, the default resolution."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import mujoco
 import numpy as np
 
-from mjgranular._util import checks
 from mjgranular.errors import InputError
 
 SMALLEST, LARGEST = 1e-9, 1e9
@@ -118,12 +116,6 @@ def check_extents(what: str, half: Sequence[float] | np.ndarray) -> None:
                 f"{what} has a half extent of {value:g} m: it must be from {SMALLEST:g} to "
                 f"{LARGEST:g} m"
             )
-
-
-def check_resolution(resolution: Any, least: int, most: int) -> int:
-    """Return a resolution as an integer; check that it is one from `least` to `most`."""
-    checks.check_count("the resolution", resolution, least, most)
-    return int(resolution)
 
 
 def check_count(count: int) -> None:
