@@ -43,9 +43,6 @@ _NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP)
 _TRIES = 5
 
 
-# One file
-
-
 @contextmanager
 def atomic_write(file: Path | str) -> Iterator[Path]:
     """Return a path to write to; at the end its content replaces `file` atomically."""
@@ -61,9 +58,6 @@ def write_text(file: Path, text: str) -> None:
     """Write a UTF-8 text file atomically."""
     with atomic_write(file) as part:
         part.write_bytes(text.encode())
-
-
-# Files that belong together
 
 
 @contextmanager
@@ -134,9 +128,6 @@ def read_consistent(folder: Path, name: str, read: Callable[[], T]) -> T:
     raise OutputError(f"{folder} is being written by another process: try again when that is done")
 
 
-# Folders
-
-
 def write_folder(folder: Path, fill: Callable[[Path], None]) -> None:
     """Write a folder atomically, with a manifest of sizes and SHA-256 sums."""
     with _staged(folder, folder) as part:
@@ -200,9 +191,6 @@ def remove_leftovers(folder: Path, names: Sequence[str] | None = None) -> None:
             path.replace(folder / owner)  # killed between two renames: the old one is the newest
         else:
             _remove(path)
-
-
-# One process at a time
 
 
 @contextmanager

@@ -33,9 +33,6 @@ _METAVARS = {str: "NAME", int: "N", float: "X", Path: "FILE"}
 _EXACT = 2**53  # up to which a float holds integers exactly
 
 
-# Commands and numbers
-
-
 def parse_command(
     commands: Mapping[str, Any], arguments: Sequence[str], *, program: str, description: str = ""
 ) -> Any:
@@ -84,9 +81,6 @@ def _number_rule(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | Non
         is_instance=lambda value: value is None or isinstance(value, (int, float)),
         str_from_instance=lambda value: [str(value)],
     )
-
-
-# Options from dataclasses
 
 
 def options_of(kind: type, *names: str, without: tuple[str, ...] = ()) -> Any:

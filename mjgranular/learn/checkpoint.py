@@ -36,9 +36,6 @@ _EPISODE_STATE = (
 )  # fmt: skip
 
 
-# Whole checkpoints
-
-
 @dataclass(frozen=True)
 class Progress:
     """Progress of a training."""
@@ -102,9 +99,6 @@ def write_policy(run: Run, checkpoint: Path) -> None:
     with files.replace_directory(run.path) as waiting:
         for name in (POLICY, NORMALIZER, CURVE):
             (waiting / name).write_bytes((checkpoint / name).read_bytes())
-
-
-# Statistics of observations and returns
 
 
 @dataclass(frozen=True)

@@ -23,9 +23,6 @@ _LEAST_SEEDS = 2
 _CONFIDENCE = 0.95
 
 
-# Episodes
-
-
 @dataclass(frozen=True)
 class Episodes:
     """Outcome of n episodes: arrays of shape (n,)."""
@@ -84,9 +81,6 @@ def _is_number_each(values: Any, count: int) -> bool:
     """Return True if an entry of `info` is one number, or one boolean, for each simulation."""
     is_row = isinstance(values, np.ndarray) and values.shape == (count,)
     return is_row and (np.issubdtype(values.dtype, np.number) or values.dtype == bool)
-
-
-# Scores
 
 
 @dataclass(frozen=True)
