@@ -63,8 +63,8 @@ def read_file(path: Path, what: str, *, largest: int) -> bytes:
     return content
 
 
-def read_bytes(file: Path) -> bytes:
-    """Return the content of a file of a result."""
+def read_text(file: Path) -> str:
+    """Return the content of a UTF-8 text file of a result."""
     try:
         content = _beginning(file, _MOST_TEXT + 1)
     except (OSError, ValueError) as error:  # ValueError: a path with a null character
@@ -72,13 +72,8 @@ def read_bytes(file: Path) -> bytes:
         raise OutputError(f"{file} cannot be read: {reason}") from None
     if len(content) > _MOST_TEXT:
         raise OutputError(f"{file} is larger than anything that belongs there")
-    return content
-
-
-def read_text(file: Path) -> str:
-    """Return the content of a UTF-8 text file."""
     try:
-        return read_bytes(file).decode()
+        return content.decode()
     except UnicodeDecodeError:
         raise OutputError(f"{file} is damaged: it is not text") from None
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from mjgranular._util import files
-from mjgranular._util.io import checked_fields, is_plain_name, read_arrays, read_bytes, read_json
+from mjgranular._util.io import checked_fields, is_plain_name, read_arrays, read_json, read_text
 from mjgranular._util.signals import Stopped, stopped_by_signals
 from mjgranular.cli import main
 from mjgranular.errors import OutputError
@@ -433,9 +433,9 @@ def test_only_regular_files_of_sensible_size_are_read(tmp_path):
         stream.truncate(2**40)
     for name in ("pipe", "endless", "itself", "folder", "huge", "missing"):
         with pytest.raises(OutputError, match=name):
-            read_bytes(tmp_path / name)
+            read_text(tmp_path / name)
     with pytest.raises(OutputError):
-        read_bytes(Path("nul\0"))
+        read_text(Path("nul\0"))
 
 
 def test_arrays_are_numbers_or_refused(tmp_path):
