@@ -80,14 +80,12 @@ _INLINE = {"forceinline": True, "error_model": "numpy"}
 def _add(a, b):
     if isinstance(a, VectorType) and isinstance(b, VectorType):
         return lambda a, b: vector(a.x + b.x, a.y + b.y, a.z + b.z)
-    return None
 
 
 @overload(operator.sub, jit_options=_INLINE)
 def _sub(a, b):
     if isinstance(a, VectorType) and isinstance(b, VectorType):
         return lambda a, b: vector(a.x - b.x, a.y - b.y, a.z - b.z)
-    return None
 
 
 @overload(operator.mul, jit_options=_INLINE)
@@ -96,28 +94,24 @@ def _mul(a, b):
         return lambda a, b: vector(a * b.x, a * b.y, a * b.z)
     if isinstance(a, VectorType) and _is_scalar(b):
         return lambda a, b: vector(a.x * b, a.y * b, a.z * b)
-    return None
 
 
 @overload(operator.truediv, jit_options=_INLINE)
 def _truediv(a, b):
     if isinstance(a, VectorType) and _is_scalar(b):
         return lambda a, b: vector(a.x / b, a.y / b, a.z / b)
-    return None
 
 
 @overload(operator.neg, jit_options=_INLINE)
 def _neg(a):
     if isinstance(a, VectorType):
         return lambda a: vector(-a.x, -a.y, -a.z)
-    return None
 
 
 @overload(operator.matmul, jit_options=_INLINE)
 def _matmul(a, b):
     if isinstance(a, VectorType) and isinstance(a.component, VectorType):
         return lambda a, b: vector(dot(a.x, b), dot(a.y, b), dot(a.z, b))
-    return None
 
 
 @partial(compiled, inline=True)
