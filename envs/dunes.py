@@ -7,8 +7,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-DUNES = "dunes"
-"""Name of the geom and of its height field."""
+DUNES = "dunes"  # name of the geom and of its height field
 
 _WAVES = ((1.0, 0.0, 0.0), (0.45, 0.8, 1.1), (0.3, -1.3, 2.3))
 """Share of the height, waves along y per wave along x, phase; chosen: ridges that meander."""

@@ -38,8 +38,7 @@ State = SimpleNamespace
 """Live arrays of n simulations: `qpos`, `qvel`, `sensordata`, ..., each of shape (n, ...); and
 `active`, `strength`, `density`, `slope` of the sand of each, shape (n,). `found` is for `once`."""
 
-ACTION_LIMIT = 1.0
-"""Actions are within [-1, 1]; the task defines their meaning."""
+ACTION_LIMIT = 1.0  # actions are within [-1, 1]; the task defines their meaning
 
 
 @dataclass(frozen=True)

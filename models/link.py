@@ -14,11 +14,8 @@ from mjgranular.errors import InputError, UnknownNameError
 
 _FOLDER = Path(__file__).resolve().parent
 
-PAPER_LENGTH = 0.2
-"""Length of the link in link.xml [m]; scenery is scaled with the length."""
-
-DARK = (0.25, 0.27, 0.31)
-"""Color of legs and heads of robots."""
+PAPER_LENGTH = 0.2  # length of the link in link.xml [m]; scenery is scaled with the length
+DARK = (0.25, 0.27, 0.31)  # color of legs and heads of robots
 
 LEGGED = {"shell": (0.86, 0.45, 0.16), "leg": DARK}
 """Colors of robots with legs."""

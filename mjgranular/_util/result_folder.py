@@ -14,10 +14,8 @@ from mjgranular.errors import OutputError
 
 CONFIG = "config.json"
 SUMMARY = "summary.json"
-UNFINISHED = "unfinished"
-"""Empty file beside numbers whose figures are not drawn yet."""
-TRAINING = "train"
-"""Command that `config.json` of a training run names."""
+UNFINISHED = "unfinished"  # empty file beside numbers whose figures are not drawn yet
+TRAINING = "train"  # command that `config.json` of a training run names
 
 
 class ResultFolder:

@@ -25,8 +25,7 @@ from mjgranular.errors import InputError, shown
 from mjgranular.law import Law, Rft3dLaw
 from mjgranular.medium.file import check_mapping, number, read_outline_file
 
-LARGEST = 1_000_000
-"""Size up to which a file is read [bytes]; chosen."""
+LARGEST = 1_000_000  # size up to which a file is read [bytes]; chosen
 
 _NUMBERS = ("speed", "depth", "angle", "height")
 _NAMES = ("model_body", "keyframe")

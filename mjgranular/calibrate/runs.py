@@ -20,9 +20,7 @@ from mjgranular.medium import Medium
 from mjgranular.models import Projectile
 from mjgranular.models.projectile import Shape
 
-GRAVITY = 9.81
-"""As for all dropped bodies (models/link.xml) [m/s^2]."""
-
+GRAVITY = 9.81  # as for all dropped bodies (models/link.xml) [m/s^2]
 _STEEL = 7850.0  # default density of a body that is moved, not dropped [kg/m^3]
 _PUSH_SPEED = 0.01  # default speed of a push [m/s]: slow
 

@@ -13,8 +13,7 @@ from mjgranular._util.io import place, read_file
 from mjgranular._util.parse import parse_number
 from mjgranular.errors import InputError, listed, shown
 
-_LARGEST = 50_000_000
-"""Size up to which a table is read [bytes]; chosen."""
+_LARGEST = 50_000_000  # size up to which a table is read [bytes]; chosen
 
 _TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
 _LENGTHS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2}

@@ -16,8 +16,7 @@ from mujoco.introspect.structs import STRUCTS
 
 from mjgranular.errors import GranularError
 
-TESTED = ("3.17.0", "4.0.0")
-"""Versions of MuJoCo that the tests were run with."""
+TESTED = ("3.17.0", "4.0.0")  # versions of MuJoCo that the tests were run with
 
 _KINDS = {
     "mjtNum": np.float64,

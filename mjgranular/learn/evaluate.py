@@ -13,12 +13,9 @@ from mjgranular.learn import environments
 from mjgranular.learn.agents import Agent
 from mjgranular.learn.settings import toml_value
 
-FIRST_SEED = 10_000
-"""Far from the usual training seeds: no episode of the training is repeated."""
-AT_ONCE = 64
-"""Episodes that are stepped together."""
-LONGEST = 10_000
-"""Steps after which an episode without a limit is ended."""
+FIRST_SEED = 10_000  # far from the usual training seeds: no episode of the training is repeated
+AT_ONCE = 64  # episodes that are stepped together
+LONGEST = 10_000  # steps after which an episode without a limit is ended
 _LEAST_SEEDS = 2
 _CONFIDENCE = 0.95
 

@@ -23,11 +23,8 @@ from mjgranular.surface import Plane
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-FORMATS = (".png", ".svg", ".pdf")
-"""File extensions that a figure can be written to."""
-
-GAP = 0.97
-"""Relative size of solids, less than one so that neighbors can be distinguished."""
+FORMATS = (".png", ".svg", ".pdf")  # file extensions that a figure can be written to
+GAP = 0.97  # relative size of solids, less than one so that neighbors can be distinguished
 
 _SAND = "#D9BC85"
 _FADED = 0.25  # opacity of geoms around elements

@@ -19,8 +19,7 @@ _MARKS: dict[str, Kind] = {"half_length": "rods", "normal": "facets", "halves": 
 
 # Okabe and Ito's colors, which color-blind readers can distinguish.
 _PALETTE = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#8A8A8A", "#F0E442")
-AROUND = 24
-"""Number of corners of a drawn circle."""
+AROUND = 24  # number of corners of a drawn circle
 _LEAST_SHARE = 0.25  # least area of the edges' parallelogram, relative to the facet's; else a disc
 RED, INK = "#C0281C", "#303030"
 """Colors of forces, and of lines."""

@@ -16,9 +16,7 @@ import mujoco
 from mjgranular._util.display import opens_window
 from mjgranular.errors import RenderError
 
-FRAME = 1 / 60
-"""Time from one frame to the next [s]."""
-
+FRAME = 1 / 60  # time from one frame to the next [s]
 _WORK = 0.8 * FRAME  # at most this much of it for steps [s]; chosen, not measured
 _LATE = 0.1  # a simulation this far behind the clock does not catch up [s]; chosen
 _SPACE, _ENTER = 32, 257  # GLFW's numbers of keys

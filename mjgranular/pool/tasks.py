@@ -16,8 +16,7 @@ from mjgranular.pool.workers import Function, Processes, ThisProcess, WorkerLost
 
 Pool = ThisProcess | Processes | RayPool
 
-TRIES = 3
-"""Attempts at a task whose worker dies; after the first it runs alone."""
+TRIES = 3  # attempts at a task whose worker dies; after the first it runs alone
 
 
 @dataclass(frozen=True)

@@ -31,9 +31,7 @@ FOOT_DTYPE = np.dtype(
 )
 
 LANES = 8  # points processed side by side, a tile
-
-TILE = 6 * LANES
-"""Numbers in a tile: each component of points and normals for all points in turn."""
+TILE = 6 * LANES  # numbers in a tile: each component of points and normals for all points in turn
 
 _GEOM = mujoco.mjtGeom
 _ROUNDING = 1e-9  # far above that of a point's height [m]; chosen

@@ -8,17 +8,13 @@ import math
 import mujoco
 import numpy as np
 
-MATERIAL = "mjgranular_sand"
-"""Name of the material and of its texture."""
+MATERIAL = "mjgranular_sand"  # name of the material and of its texture
 
 TILE = 0.5
 """Edge of the grain texture on geoms [m]; grains of 2 mm. Chosen."""
 
-COLOR = (0.83, 0.71, 0.53, 1.0)
-"""Color of sand in a model without the material."""
-
-NOT_SHOWN = 5
-"""Geom group that is hidden."""
+COLOR = (0.83, 0.71, 0.53, 1.0)  # color of sand in a model without the material
+NOT_SHOWN = 5  # geom group that is hidden
 
 DEFAULT = (0.5, 0.5, 0.5, 1.0)  # color of a geom whose color is not set
 _DARK, _BRIGHT, _DARK_SHARE = (0.75, 0.62, 0.44), (0.88, 0.77, 0.58), 0.4

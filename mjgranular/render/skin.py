@@ -14,8 +14,7 @@ import numpy as np
 from mjgranular.relief.memory import EXTENT, Memory
 from mjgranular.render.material import DEFAULT
 
-SKIN = "mjgranular_prints"
-"""Name of the skin; a space and the name of the sand follow."""
+SKIN = "mjgranular_prints"  # name of the skin; a space and the name of the sand follow
 
 BLOCK = 10
 """Nodes along the side of a block, which is drawn as a whole, with the skin or as a rectangle."""

@@ -49,8 +49,7 @@ FRAME_DTYPE = np.dtype(
 )
 """Fields of a relief's record: the plane under the heights."""
 
-SIGNATURE = "int64(int64, float64)"
-"""Signature of the program that fits a skin to the sand."""
+SIGNATURE = "int64(int64, float64)"  # signature of the program that fits a skin to the sand
 
 Region = tuple[np.ndarray, np.ndarray, float]
 """A rectangle of sand in the plane under the heights: its lowest and highest corner, and the lower

@@ -184,11 +184,8 @@ _STEEPEST = math.radians(75)
 """Angle between gravity and the way into a plane of sand. Sand slides from 35 degrees on; with
 gravity along y it is 90."""
 
-_ROUNDING = 1e-6
-"""Tolerance for a slope equal to the angle of repose [rad]."""
-
-_LEVEL = 1e-3
-"""Vertical component of an axis up to which it counts as level."""
+_ROUNDING = 1e-6  # tolerance for a slope equal to the angle of repose [rad]
+_LEVEL = 1e-3  # vertical component of an axis up to which it counts as level
 
 _OF_SAND = (LinkLaw, DistributedLinkLaw, RftLaw, DepthVelocityLaw)
 """Laws known to be of sand: a custom law may be of mud, or of a lake."""

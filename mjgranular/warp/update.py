@@ -43,8 +43,7 @@ NOTHING, LEFT, BESIDE = -1, -2, -3
 contact geom and by the number of edge nodes of the track near them. Nonnegative labels are contact
 geoms, plus `MOST_FEET` at edges."""
 
-MOST_FEET = 1 << 12
-"""Maximum number of geoms that press sand down."""
+MOST_FEET = 1 << 12  # maximum number of geoms that press sand down
 
 PRESSED, HEAPED, FORGOTTEN = range(3)
 """Volumes of each world [m^3]."""
