@@ -12,7 +12,7 @@ import numpy as np
 from mjgranular.kernel.lanes import aligned
 from mjgranular.relief.memory import WINDOW, Memory
 from mjgranular.shape.shells import mesh_faces
-from mjgranular.shape.sizes import check_count, geom_axes, geom_width, half_extents
+from mjgranular.shape.sizes import check_count, data_at_start, geom_axes, geom_width, half_extents
 
 POINT_DTYPE = np.dtype(
     [
@@ -65,8 +65,7 @@ def fitting(model: mujoco.MjModel, geoms: Sequence[int], memory: Memory) -> Memo
 
 def spread_of(model: mujoco.MjModel, geoms: Sequence[int]) -> float:
     """Return the greatest extent of the geoms along x or y at qpos0 [m]."""
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
+    data = data_at_start(model)
     axes = data.geom_xmat[list(geoms)].reshape(-1, 3, 3)
     half = np.stack([half_extents(model, geom) for geom in geoms])
     reach = (np.abs(axes) @ half[:, :, None])[:, :2, 0]

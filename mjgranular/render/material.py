@@ -8,6 +8,8 @@ import math
 import mujoco
 import numpy as np
 
+from mjgranular.shape.sizes import data_at_start
+
 MATERIAL = "mjgranular_sand"  # name of the material and of its texture
 
 TILE = 0.5
@@ -90,8 +92,7 @@ def moving_geoms(model: mujoco.MjModel) -> np.ndarray:
 
 def radius_of(model: mujoco.MjModel) -> float:
     """Return the radius of a ball around what moves, at `qpos0` [m]."""
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
+    data = data_at_start(model)
     moving = moving_geoms(model)
     if not len(moving):
         return float(model.stat.extent)
@@ -102,8 +103,7 @@ def radius_of(model: mujoco.MjModel) -> float:
 
 def ground_at(model: mujoco.MjModel, normal: np.ndarray, offset: float, near: float) -> list[int]:
     """Return ids of visible fixed planes, and boxes with a face, that are in a plane."""
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
+    data = data_at_start(model)
     found = []
     planes, boxes = int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_BOX)
     for geom in range(model.ngeom):

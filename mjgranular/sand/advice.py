@@ -22,7 +22,7 @@ from mjgranular.relief.relief import frame_of
 from mjgranular.sand.material import DEFAULT_MEDIUM, law_named_in
 from mjgranular.sand.spec import SandSpec
 from mjgranular.shape.select import body_name, collides, is_choice, moves
-from mjgranular.shape.sizes import LARGEST, geom_name, half_extents, name_of
+from mjgranular.shape.sizes import LARGEST, data_at_start, geom_name, half_extents, name_of
 from mjgranular.surface import Bed, Plane, Surface
 from mjgranular.surface.floors import CARRIES, WOULD_CARRY, FloorWatch, describe_floors, find_floors
 
@@ -265,7 +265,7 @@ def slope(case: Case) -> Iterator[str]:
 def start(case: Case) -> Iterator[str]:
     """Check that bodies do not start too deep; with memory `buried_geoms` does."""
     if case.memory is None:
-        yield from depth(case, _data_at_start(case.model), "with the model as it stands (qpos0)")
+        yield from depth(case, data_at_start(case.model), "with the model as it stands (qpos0)")
 
 
 def depth(case: Case, data: mujoco.MjData, when: str) -> Iterator[str]:
@@ -311,12 +311,6 @@ def _may_rise(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> bool:
     is_slide = model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_SLIDE
     is_free = model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_FREE
     return bool((is_free | (is_slide & (abs(data.xaxis[joints, 2]) > _LEVEL))).any())
-
-
-def _data_at_start(model: mujoco.MjModel) -> mujoco.MjData:
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    return data
 
 
 # The law, its cost, and its use
@@ -372,7 +366,7 @@ def buried_geoms(case: Case) -> Iterator[str]:
     model, surface, memory = case.model, case.surface, case.memory
     if memory is None or not isinstance(surface, Plane | Bed):
         return
-    frame, data = frame_of(surface, surface.record(model)[0]), _data_at_start(model)
+    frame, data = frame_of(surface, surface.record(model)[0]), data_at_start(model)
     deepest, under = -1, memory.cell
     for geom in case.geoms:
         place = data.geom_xpos[geom] - frame["origin"]

@@ -77,8 +77,7 @@ def facets_from_model(
         check_count("the resolution", resolution, 2, FINEST)
         rings = [int(resolution)] * len(ordered)
     model = copy.copy(model)
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
+    data = sizes.data_at_start(model)
     parts = []
     count = 0
     # One surface at a time: the cells of all would fill the memory.

@@ -50,6 +50,13 @@ def set_bodies(model: mujoco.MjModel, elements: np.ndarray) -> None:
     elements["body"], elements["slot"] = bodies, [slots[body] for body in bodies]
 
 
+def data_at_start(model: mujoco.MjModel) -> mujoco.MjData:
+    """Return a simulation with the poses at `qpos0`."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    return data
+
+
 def geom_axes(model: mujoco.MjModel, geom: int) -> np.ndarray:
     """Return the axes of a geom in the frame of its body, in columns, shape (3, 3)."""
     rotation = np.zeros(9)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-from mjgranular.shape.sizes import geom_name, geom_type
+from mjgranular.shape.sizes import data_at_start, geom_name, geom_type
 from mjgranular.surface.place import up_of
 from mjgranular.surface.surface import Plane, Surface
 
@@ -40,8 +40,7 @@ def find_floors(model: mujoco.MjModel, geoms: Sequence[int], surface: Surface) -
     rays.geom_rgba[:] = 1.0
     rays.geom_group[:] = 0
     rays.geom_group[list(sand)] = _SAND
-    data = mujoco.MjData(rays)
-    mujoco.mj_kinematics(rays, data)
+    data = data_at_start(rays)
     down = -up_of(model) if plane is None else -plane.normal
     found = set()
     for geom, against in zip(geoms, meets, strict=True):

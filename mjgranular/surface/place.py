@@ -7,7 +7,7 @@ import numpy as np
 
 from mjgranular.errors import InputError, UnknownNameError, shown
 from mjgranular.shape.select import Choice, find_all
-from mjgranular.shape.sizes import geom_type, name_of
+from mjgranular.shape.sizes import data_at_start, geom_type, name_of
 
 
 def check_geom(name: object, word: str) -> None:
@@ -75,8 +75,7 @@ def _name(model: mujoco.MjModel, geom: int) -> str | int:
 
 def world_pose(model: mujoco.MjModel, geom: int) -> tuple[np.ndarray, np.ndarray]:
     """Return position (3,) and axes in columns (3, 3) of a geom that is fixed to the world."""
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
+    data = data_at_start(model)
     return data.geom_xpos[geom].copy(), data.geom_xmat[geom].reshape(3, 3).copy()
 
 
