@@ -14,6 +14,14 @@ from mjgranular.errors import InputError, RenderError, UnknownNameError, drawing
 RENDER_MODES = ["human", "rgb_array"]
 
 
+def check_camera(model: mujoco.MjModel, name: str | None) -> None:
+    """Check that a model has a camera of that name, or that no name is given."""
+    known = [model.camera(number).name for number in range(model.ncam)]
+    if name is not None and name not in known:
+        hint = "without a name the one that follows the robot is taken"
+        raise UnknownNameError("camera", name, known, hint)
+
+
 class Cameras:
     """A camera that follows the robot, or one of the model's cameras.
 
@@ -29,11 +37,7 @@ class Cameras:
             )
         check_count("width", width)
         check_count("height", height)
-        model = task.model
-        known = [model.camera(number).name for number in range(model.ncam)]
-        if camera_name is not None and camera_name not in known:
-            hint = "without a name the one that follows the robot is taken"
-            raise UnknownNameError("camera", camera_name, known, hint)
+        check_camera(task.model, camera_name)
         self.mode, self.width, self.height, self.camera_name = mode, width, height, camera_name
         self.settings = {
             "render_mode": mode, "width": width, "height": height, "camera_name": camera_name,

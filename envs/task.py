@@ -17,7 +17,7 @@ from numbers import Real
 from operator import attrgetter
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NoReturn
 
 import mujoco
 import numpy as np
@@ -141,7 +141,10 @@ class Task(SandSpec, ABC):
 
     def total(self, terms: dict[str, np.ndarray]) -> np.ndarray:
         """Return the reward from its terms, shape (n,)."""
-        return np.asarray(sum(terms.values()))
+        total = np.asarray(sum(terms.values()))
+        if total.ndim != 1:
+            self._refuse("rewards", {name: np.shape(term) for name, term in terms.items()}, "(n,)")
+        return total
 
     def act(self, action: np.ndarray, state: State) -> np.ndarray:
         """Return controls for actions, shape (n, nu).
@@ -207,9 +210,19 @@ class Task(SandSpec, ABC):
     @cached_property
     def observation_space(self) -> Box:
         """Space of one simulation."""
-        data = mujoco.MjData(self.model)
-        size = self.observation(self.state_of(data)).shape[1]
+        state = self.state_of(mujoco.MjData(self.model))
+        for name, right, dims in (("observe", "(n, k)", 2), ("terminated", "(n,)", 1)):
+            shape = np.shape(getattr(self, name)(state))
+            if shape[:1] != (1,) or len(shape) != dims:
+                self._refuse(name, shape, right)
+        size = self.observation(state).shape[1]
         return Box(-np.inf, np.inf, (size,), np.float64)
+
+    def _refuse(self, name: str, shape: Any, right: str) -> NoReturn:
+        raise InputError(
+            f"{type(self).__name__}.{name} must return arrays of shape {right} for n simulations, "
+            f"not {shape}"
+        )
 
     @staticmethod
     def once(state: State, name: str, find: Callable[[State], Any]) -> Any:

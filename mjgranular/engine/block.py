@@ -174,8 +174,6 @@ HEADER_DTYPE = np.dtype(
         ("slots", np.int64),  # address: for each element its row in `bodies`
         ("geoms", np.int64),  # address: for each element its geom
         ("draw", np.int64),  # a bit for each of `config.DRAWINGS`
-        ("arrow_scale", np.float64),  # length of an arrow [m/N]
-        ("arrow_width", np.float64),  # [m]
         ("ends", np.int64),  # address of memory for the ends of an arrow
         ("plane", np.int64),  # offset of the surface's record in the scene [bytes]
         ("frame", np.int64),  # offset of a relief's axes in that record [bytes]

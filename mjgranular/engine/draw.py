@@ -14,7 +14,7 @@ from mjgranular.kernel.engine import connect_geom, init_geom
 from mjgranular.kernel.intrinsics import call_step
 from mjgranular.kernel.memory import field, floats, ints, longs, records, row_of, table_at
 from mjgranular.kernel.records import bodies_of, contacts_of
-from mjgranular.kernel.structs import record_of
+from mjgranular.kernel.structs import offset_of, record_of
 from mjgranular.kernel.vector import cross, dot, norm, read_vector, vector, write_vector
 from mjgranular.render.track_kernel import FRAME_DTYPE, canvases
 from mjgranular.surface.surface import PLANE_DTYPE
@@ -32,6 +32,8 @@ _geoms = records(GEOM_DTYPE)
 _bytes = records(np.dtype(np.uint8))
 _planes = records(PLANE_DTYPE)
 _frames = records(FRAME_DTYPE)
+_visuals, _statistics = records(record_of("mjVisual")), records(record_of("mjStatistic"))
+_VIS, _STAT = offset_of("mjModel", "vis"), offset_of("mjModel", "stat")
 _most, _count = field("mjvScene", "maxgeom"), field("mjvScene", "ngeom")
 _geoms_of = field("mjvScene", "geoms")
 
@@ -55,15 +57,18 @@ def add_geom(scene, kind):
 
 
 @compiled
-def add_arrow(scene, header, bodies, contacts, slots, slot):
-    """Add an arrow for the force on a body, from the mean of its points of action."""
+def add_arrow(scene, header, bodies, contacts, slots, slot, scale, width):
+    """Add an arrow for the force on a body, from the mean of its points of action.
+
+    Its length is `scale` [m/N] times the force.
+    """
     weight, total = 0.0, vector(0.0, 0.0, 0.0)
     for i in range(len(contacts)):
         if slots[i] == slot and contacts[i].depth > 0.0:
             size = norm(read_vector(contacts[i].force, 0))
             weight += size
             total += size * read_vector(contacts[i].point, 0)
-    arrow = header.arrow_scale * read_vector(bodies[slot].wrench, 0)
+    arrow = scale * read_vector(bodies[slot].wrench, 0)
     if weight == 0.0 or dot(arrow, arrow) == 0.0:
         return
     address = add_geom(scene, _ARROW)
@@ -71,7 +76,7 @@ def add_arrow(scene, header, bodies, contacts, slots, slot):
         ends, begin = floats(header.ends, 6), total / weight
         write_vector(ends, 0, begin)
         write_vector(ends, 3, begin + arrow)
-        connect_geom(address, _ARROW, header.arrow_width, header.ends, header.ends + 24)
+        connect_geom(address, _ARROW, width, header.ends, header.ends + 24)
         rgba = _geoms(address, 1)[0].rgba
         rgba[0], rgba[1], rgba[2], rgba[3] = 0.85, 0.35, 0.1, 1.0
 
@@ -201,13 +206,16 @@ def draw(block, scene, model, prints):
             add_prints(scene, header)
         elif header.tile_count != 0:
             add_surface(scene, header, surface, middle)
+    visual, statistic = _visuals(model + _VIS, 1)[0], _statistics(model + _STAT, 1)[0]
+    width = visual.scale.forcewidth * statistic.meansize
     if header.draw & _FORCES:
+        length = visual.map.force / statistic.meanmass
         for slot in range(len(bodies)):
-            add_arrow(scene, header, bodies, contacts, slots, slot)
+            add_arrow(scene, header, bodies, contacts, slots, slot, length, width)
     if header.draw & _DEPTH:
         deepest = 0.0
         for i in range(len(contacts)):
             deepest = max(deepest, contacts[i].depth)
         for i in range(len(contacts)):
             if contacts[i].depth > 0.0:
-                add_dot(scene, contacts[i], header.arrow_width, contacts[i].depth / deepest)
+                add_dot(scene, contacts[i], width, contacts[i].depth / deepest)

@@ -41,7 +41,7 @@ from mjgranular.surface import Plane, Surface
 from mjgranular.surface.choice import surfaces
 
 _KEPT = 32  # images of past models: they cost memory, and save another preparation
-# Inputs of elements, selection, surfaces and drawings. Heights of a height field are read live.
+# Inputs of elements, selection, surfaces and prints. Heights of a height field are read live.
 _PREFIXES = (
     "body_", "geom_", "jnt_", "dof_", "hfield_", "mesh_vert", "mesh_face", "mesh_pos", "mesh_quat",
 )  # fmt: skip
@@ -50,11 +50,14 @@ _SWITCHES = _SWITCHES[_SWITCHES.index("integrator") :]  # solver, Jacobian, flag
 _NO_CONTACTS = int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
 _SENSORS = ("sensor_plugin", "sensor_objtype", "sensor_objid", "sensor_reftype", "sensor_adr")
 _SITES = ("site_bodyid", "site_type", "site_size")
-_LOOKS = ("mat_rgba", "skin_matid", "skin_rgba")
 _NAMES = (
-    "qpos0", "plugin", *_SENSORS, *_SITES, *_LOOKS, "sensor_type", "sensor_needstage", "names",
+    "qpos0", "plugin", *_SENSORS, *_SITES, "sensor_type", "sensor_needstage", "names",
+    "skin_matid", "skin_rgba",
 )  # fmt: skip
-_NO_MATTER = ("hfield_data", "geom_user", "body_user", "plugin", *_SENSORS, *_SITES)
+_NO_MATTER = (
+    "hfield_data", "geom_rgba", "geom_user", "geom_matid", "body_user", "plugin", *_SENSORS,
+    *_SITES,
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -194,8 +197,6 @@ def _key(model: int, instance: int, texts: dict[str, str]) -> bytes:
     digest = hashlib.blake2b(_sizes(model), digest_size=16)
     for name in _SWITCHES:
         digest.update(options[name].tobytes())
-    visual, end = (offset_of("mjModel", name) for name in ("vis", "buffer"))
-    digest.update(ctypes.string_at(model + visual, end - visual))
     parts = [id(part) for part in _registered()]
     sands = list(_sands(model).values())  # a block has the number of the next
     digest.update(repr((instance, sands, texts, _medium_now(texts["medium"]), parts)).encode())
@@ -328,8 +329,6 @@ def _drawing(
     fields: Any = sand.scene.dtype.fields
     return {
         "draw": sum(1 << config.DRAWINGS.index(drawing) for drawing in chosen),
-        "arrow_scale": model.vis.map.force / model.stat.meanmass,
-        "arrow_width": model.vis.scale.forcewidth * model.stat.meansize,
         "plane": fields["surface"][1],
         **(look or {}),
     }, arrays

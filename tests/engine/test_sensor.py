@@ -205,14 +205,13 @@ def test_arrows_and_dots_are_drawn() -> None:
     assert len(drawn(model, data, room=3)) <= 3
 
 
-def test_a_model_whose_look_is_changed_is_drawn_so_in_new_simulations() -> None:
-    model, _ = moving("forces")
-    lengths = []
-    for model.vis.map.force in (0.1, 0.3):
-        data = mujoco.MjData(model)
-        mujoco.mj_step(model, data, 10)
-        lengths.append(drawn(model, data)[1].size[2])
-    assert lengths[1] == pytest.approx(3 * lengths[0])
+def test_arrows_have_the_scale_that_the_model_has_now() -> None:
+    model, data = moving("forces")
+    mujoco.mj_step(model, data, 10)
+    sizes = []
+    for model.vis.map.force, model.stat.meansize in ((0.1, 0.05), (0.3, 0.1)):
+        sizes.append(drawn(model, data)[1].size.copy())
+    assert sizes[1] == pytest.approx(sizes[0] * [2, 2, 3])
 
 
 def test_a_copy_draws_what_the_original_did() -> None:

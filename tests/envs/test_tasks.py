@@ -17,7 +17,7 @@ from stable_baselines3.common.env_checker import check_env as check_for_sb3
 
 import mjgranular.envs
 from mjgranular import InputError, Plane, RenderError, Sand, UnknownNameError
-from mjgranular.envs import SandEnv, on_sand, tasks
+from mjgranular.envs import SandEnv, SandVectorEnv, on_sand, tasks
 from mjgranular.envs.gaits import gait, gaits
 from mjgranular.envs.ground import RIGID
 from mjgranular.envs.gym_robots import Hopper
@@ -347,6 +347,8 @@ def test_wrong_input_is_told():
         SandEnv("Hopper", render_mode="text")
     with pytest.raises(UnknownNameError, match="no camera 'mine'; there are: track"):
         SandEnv("Hopper", camera_name="mine")
+    with pytest.raises(UnknownNameError, match="no camera 'mine'; there are: track"):
+        on_sand("Hopper-v5", camera_name="mine")
     with pytest.raises(UnknownNameError, match="no gait for 'Hopper'"):
         gait(SandEnv("Hopper").task)
     with pytest.raises(InputError, match=r"has no 'speed'; it has: amplitude"):
@@ -488,3 +490,19 @@ def test_rigid_ground_has_the_contacts_of_the_floor_that_carries():
         mujoco.mj_kinematics(model, data)
         block = rigid.type.item() == mujoco.mjtGeom.mjGEOM_BOX
         assert data.geom(RIGID).xpos[2] + block * rigid.size[2] == pytest.approx(-0.1)
+
+
+@pytest.mark.parametrize(("name", "right"), [("observe", "k"), ("terminated", ""), ("rewards", "")])
+@pytest.mark.parametrize("several", [False, True])
+def test_a_task_that_returns_another_shape_is_refused(name: str, right: str, several: bool) -> None:
+    found = {"observe": np.zeros(3), "terminated": np.zeros((3, 1), bool)}
+    wrong = found.get(name, {"reward_x": np.zeros((3, 1))})
+    task = type("Mine", (Hopper,), {name: lambda self, *arguments: wrong})()
+
+    def step() -> None:
+        env = SandVectorEnv(task, 3) if several else SandEnv(task)
+        env.reset(seed=0)
+        env.step(env.action_space.sample())
+
+    with pytest.raises(InputError, match=rf"Mine.{name} .* \(n, ?{right}\)"):
+        step()
