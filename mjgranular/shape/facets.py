@@ -77,8 +77,7 @@ def facets_from_model(
     model = copy.copy(model)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    parts = []
-    count = 0
+    parts, count = [], 0
     # One surface at a time: the cells of all would fill the memory.
     for geom, fine in zip(ordered, rings, strict=True):
         if int(model.geom_type[geom]) == _GEOM.mjGEOM_MESH:
