@@ -131,7 +131,7 @@ class Loader:
             if other != instance and common and together:
                 raise InputError(
                     f"the sand {name!r} acts on body {mine.bodies[min(common)]!r} too, in the "
-                    f"same place ({mine.place}): the body would be resisted twice; delete one of "
+                    f"same place ({mine.place}): the body would be resisted twice; keep one of "
                     "them, select what meets each with bodies=... or geoms=..., or use tunable=true"
                 )
 
