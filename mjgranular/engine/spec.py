@@ -117,7 +117,8 @@ def _attach(spec: mujoco.MjSpec, name: str) -> None:
     `copy` and `delete` keep what the world refers to, and `attach` what an attached body does.
     """
     world, *bodies = spec.bodies
-    chosen = [body for body in bodies if not body.plugin.active][:1]
+    free = [body for body in bodies if not body.plugin.active]
+    chosen = sorted(free, key=lambda body: not body.joints)[:1]  # others may be fused
     if not world.plugin.active or (not chosen and world.plugin.plugin_name == NAME):
         chosen.append(world)
     for body in chosen:

@@ -338,6 +338,13 @@ def test_two_sands_around_one_robot_survive_a_copy() -> None:
     assert sands_in(spec.copy().compile()) == ("sand", "sand_2")
 
 
+def test_static_bodies_are_fused_as_without_sand() -> None:
+    post = '<compiler fusestatic="true"/><worldbody><body><geom size=".1"/></body>'
+    spec = mujoco.MjSpec.from_string(LONE_BOX.replace("<worldbody>", post))
+    add_sand(spec)
+    assert spec.compile().nbody == 2
+
+
 def _assets() -> dict[str, bytes]:
     from mjgranular.models.link import model_path
 
