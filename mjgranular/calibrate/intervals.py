@@ -33,8 +33,7 @@ SMALLEST = 1e-7  # singular value, in parts of the largest, below which nothing 
 
 def correlation_time(errors: np.ndarray) -> float:
     """Return the number of rows that count as one: 1 for independent errors."""
-    n = len(errors)
-    power = float(errors @ errors)
+    n, power = len(errors), float(errors @ errors)
     if n < 4 or power == 0:
         return 1.0
     size = 2 ** int(np.ceil(np.log2(2 * n)))

@@ -98,8 +98,7 @@ def fitted_medium(result: FitResult, name: str, *, source: str = "") -> Medium:
     """Return the fitted medium: free constants with intervals, the others unchanged."""
     material, start = result.material, result.start
     before, kind = start.medium, type(material.law)
-    key = _table(kind)
-    known = _constants_of(kind, before)
+    key, known = _table(kind), _constants_of(kind, before)
     constants = {}
     for constant, value in material.constants().items():
         quantity = known.get(constant)

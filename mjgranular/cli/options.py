@@ -90,8 +90,7 @@ def options_of(kind: type, *names: str, without: tuple[str, ...] = ()) -> Any:
     `experiment` makes the other dataclass, with further arguments.
     """
     hints = typing.get_type_hints(kind)
-    texts = _documented(PlainSand) | _documented(kind)
-    made = []
+    texts, made = _documented(PlainSand) | _documented(kind), []
     for each in fields(kind):  # pyright: ignore[reportArgumentType]
         if each.name in without or (names and each.name not in names):
             continue

@@ -44,7 +44,7 @@ _shapes = records(SHAPE_DTYPE)
 _bytes = records(np.dtype(np.uint8))
 _state_sizes = field("mjModel", "plugin_statenum")
 _fail = c_function(FAIL, "void", "int64")
-_unprepared = c_function(UNPREPARED, "void", "int64")
+_unprepared = c_function(UNPREPARED, "void", "int64", "int64")
 _forget = c_function(FORGET, "void", "int64")
 
 
@@ -271,7 +271,7 @@ def compute(model, data, instance, capability):
     """Add the forces of the sand to the passive forces, or update force sensors."""
     block = find_block(data, instance)
     if block == 0:
-        _unprepared(data)
+        _unprepared(model, data)
         return
     header = header_at(block)
     if header.refused != 0:
@@ -346,8 +346,7 @@ def visualize(model, data, options, scene, instance):
     block = find_block(data, instance)
     if block == 0:
         return
-    header = header_at(block)
-    prints = False
+    header, prints = header_at(block), False
     if header.shape_program != 0:
         link_model(block, model, header)
         prints = is_of_that_shape(header)

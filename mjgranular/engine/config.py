@@ -148,8 +148,7 @@ def _read_resolution(text: str) -> int:
 
 
 def _write_memory(memory: Memory | float | bool) -> str:
-    read = as_memory(memory)
-    default = Memory()
+    read, default = as_memory(memory), Memory()
     given = [f.name for f in fields(Memory) if getattr(read, f.name) != getattr(default, f.name)]
     return " ".join(_write_field(read, name) for name in given) or "true"
 

@@ -195,8 +195,7 @@ def draw(block, scene, model, prints):
     if header.draw == 0:
         return
     table = table_at(header.table)
-    bodies = bodies_of(table)
-    contacts = contacts_of(table)
+    bodies, contacts = bodies_of(table), contacts_of(table)
     slots = longs(header.slots, len(contacts))
     if header.draw & _SURFACE and (header.tuned == 0 or header.applied[ACTIVE] != 0.0):
         surface = table[memory.SCENE] + header.plane

@@ -134,8 +134,8 @@ class Loader:
             if other != instance and common and together:
                 raise InputError(
                     f"the sand {name!r} acts on body {mine.bodies[min(common)]!r} too, in the "
-                    f"same place ({mine.place}): the body would be resisted twice; use bodies=... "
-                    "or geoms=... to select what meets each of them, or tunable=true to keep both"
+                    f"same place ({mine.place}): the body would be resisted twice; keep one of "
+                    "them, select what meets each with bodies=... or geoms=..., or use tunable=true"
                 )
 
     def _sensor(self, model: int, instance: int, sands: dict[str, int]) -> Image:

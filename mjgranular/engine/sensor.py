@@ -47,7 +47,7 @@ READING_DTYPE = np.dtype(
 )
 
 _readings = records(READING_DTYPE)
-_unprepared = c_function(UNPREPARED, "void", "int64")
+_unprepared = c_function(UNPREPARED, "void", "int64", "int64")
 _values = field("mjData", "sensordata")
 _positions, _orientations = field("mjData", "site_xpos"), field("mjData", "site_xmat")
 
@@ -211,7 +211,7 @@ def compute_sensors(model, data, instance, capability):
     """Compute the values of an instance: `compute` of the plugin."""
     block = find_block(data, instance)
     if block == 0:
-        _unprepared(data)
+        _unprepared(model, data)
         return
     if header_at(block).size == 0:
         return
@@ -247,8 +247,7 @@ class SandReadings:
 
     def read(self, data: mujoco.MjData) -> np.ndarray:
         """Read a simulation; zeros before its first step, and after a reset."""
-        begin = self.values.ctypes.data
-        address = data._address
+        begin, address = self.values.ctypes.data, data._address
         for instance, together in zip(self._instances, self.together, strict=True):
             self._read(address, instance, begin + 8 * together)
         return self.values

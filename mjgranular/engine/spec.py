@@ -111,14 +111,17 @@ def show_prints(spec: mujoco.MjSpec, sand: SandSpec, name: str = "sand") -> None
 
 
 def _attach(spec: mujoco.MjSpec, name: str) -> None:
-    """Have a body refer to the instance.
+    """Have the world and a body refer to the instance.
 
-    It does not affect the physics. But `MjSpec.copy` and `MjSpec.attach` silently drop instances
-    that nothing refers to. A body can refer to one.
+    It does not affect the physics. But `MjSpec` silently drops instances that nothing refers to:
+    `copy` and `delete` keep what the world refers to, and `attach` what an attached body does.
     """
-    for body in spec.bodies[1:]:
-        if not body.plugin.active:
-            body.plugin.active = True
-            body.plugin.plugin_name = NAME
-            body.plugin.name = name
-            return
+    world, *bodies = spec.bodies
+    free = [body for body in bodies if not body.plugin.active]
+    chosen = sorted(free, key=lambda body: not body.joints)[:1]  # others may be fused
+    if not world.plugin.active or (not chosen and world.plugin.plugin_name == NAME):
+        chosen.append(world)
+    for body in chosen:
+        body.plugin.active = True
+        body.plugin.plugin_name = NAME
+        body.plugin.name = name

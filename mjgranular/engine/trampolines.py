@@ -5,6 +5,8 @@ arrived; MuJoCo would then read a random result. Trampolines have Python write i
 separate memory. Without an answer the sand is not prepared, and a step is an error of MuJoCo.
 Messages are passed as strings, never as formats.
 
+MuJoCo's compiler moves muscles, to find their range of length, with all forces disabled, in an
+`mjData` without a call of `init`: there unprepared sand is not an error.
 An interrupt is not an error of MuJoCo: Python would raise that error first, and the interrupt
 somewhere in its handler. So `init` returns success, the rest of MuJoCo's call runs without sand,
 and the interrupt is raised as soon as it returns. The sand of that `mjData` stays unprepared.
@@ -17,14 +19,18 @@ from collections.abc import Callable, Mapping
 from functools import cache
 from typing import Any
 
+import mujoco
+
 from mjgranular.kernel.engine import library
 from mjgranular.kernel.intrinsics import load_functions, publish, publish_functions
+from mjgranular.kernel.records import NO_GRAVITY, NO_PASSIVE_FORCES
+from mjgranular.kernel.structs import offset_of
 
 FAIL = "mjgranular_fail"
 """Name of `fail(text)`: raise an error of MuJoCo; does not return."""
 
 UNPREPARED = "mjgranular_unprepared"
-"""Name of `unprepared(data)`: raise MuJoCo's error, unless `pausing` allows unprepared sand."""
+"""Name of `unprepared(model, data)`: raise MuJoCo's error, unless unprepared sand is meant."""
 
 FORGET = "mjgranular_forget"
 """Name of `forget(data)`, called when an `mjData` is freed: another may get its address."""
@@ -62,10 +68,15 @@ define void @mjgranular_fail(i64 %text) {
   ret void
 }
 
-define void @mjgranular_unprepared(i64 %data) {
+define void @mjgranular_unprepared(ptr %model, i64 %data) {
   %pausing = load volatile i64, ptr inttoptr (i64 PAUSING to ptr)
   %meant = icmp eq i64 %pausing, %data
-  br i1 %meant, label %leave, label %raise
+  %place = getelementptr i8, ptr %model, i64 DISABLED
+  %flags = load i32, ptr %place
+  %disabled = and i32 %flags, NO_FORCES
+  %forceless = icmp eq i32 %disabled, NO_FORCES
+  %fine = or i1 %meant, %forceless
+  br i1 %fine, label %leave, label %raise
 raise:
   call void (ptr, ...) @mju_error(ptr @says, ptr @why)
   br label %leave
@@ -73,8 +84,8 @@ leave:
   ret void
 }
 
-define void @mjgranular_compute(i64 %model, i64 %data, i32 %instance, i32 %capability) {
-  call void @mjgranular_unprepared(i64 %data)
+define void @mjgranular_compute(ptr %model, i64 %data, i32 %instance, i32 %capability) {
+  call void @mjgranular_unprepared(ptr %model, i64 %data)
   ret void
 }
 
@@ -236,8 +247,7 @@ def make_trampolines(
     `init(model, data, instance, answer)` writes at the address `answer` (`Answer`). For `nstate`
     and `nsensordata`, `count(model, instance, place)` writes the number of values at an address.
     """
-    common = _common()
-    name = name.replace(".", "_")
+    common, name = _common(), name.replace(".", "_")
     code = _filled(
         _INIT,
         NAME=name,
@@ -267,7 +277,12 @@ def _common() -> dict[str, int]:
     """Make the functions that all plugins share, registered for compiled code."""
     publish_functions(library(), ["mju_error"])
     publish_functions(ctypes.pythonapi, _PYTHON)
-    code = _filled(_COMMON, PAUSING=ctypes.addressof(pausing)).replace("[WHY]", _text(_WHY))
+    code = _filled(
+        _COMMON,
+        PAUSING=ctypes.addressof(pausing),
+        DISABLED=offset_of("mjModel", "opt") + offset_of("mjOption", "disableflags"),
+        NO_FORCES=NO_GRAVITY | NO_PASSIVE_FORCES | int(mujoco.mjtDisableBit.mjDSBL_ACTUATION),
+    ).replace("[WHY]", _text(_WHY))
     fields = {f"mjgranular_{field}": field for field in ("compute", "reset", "destroy")}
     shared = (FAIL, UNPREPARED, FORGET, _HAS_FAILED)
     found = load_functions(code, (*fields, *shared))

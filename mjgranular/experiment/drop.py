@@ -239,8 +239,7 @@ def run_drop(drop: Drop, *, progress: Callable[[float], None] | None = None) -> 
     floors = FloorWatch(model, geoms_in_sand(model, drop.sand), drop.surface)
     watch, rest = RestWatch(), None
     check_every = max(1, round(REST_WINDOW / model.opt.timestep / 20))
-    points = _watched(model)
-    begin = data.time
+    points, begin = _watched(model), data.time
     total = math.ceil(drop.duration / model.opt.timestep - 1e-9)
     for step in range(1, total + 1):
         sand.step(data)

@@ -138,8 +138,7 @@ class Impact:
         mass is `1 / (1/m + L_CE^2/I)`. The ratio is greatest for the whole link, l = L, where E is
         C. The speed at E is at most that at release, plus what gravity adds on the way.
         """
-        link = self.link
-        medium = get_medium(self.medium)
+        link, medium = self.link, get_medium(self.medium)
         law = get_law(self.law, medium)
         if not isinstance(law, (LinkLaw, DistributedLinkLaw)):
             return math.inf  # no bound is known for the others

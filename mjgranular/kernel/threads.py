@@ -82,8 +82,7 @@ def run_in_worker(work: Callable[[], T]) -> T:
 
     What interrupts the waiting is raised once the work is done or has been canceled.
     """
-    task = _Task(work)
-    interrupt = None
+    task, interrupt = _Task(work), None
     try:
         # Not of class Thread: its start cannot be interrupted safely either.
         _thread.start_new_thread(task.run, ())

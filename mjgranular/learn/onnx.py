@@ -120,8 +120,7 @@ def _operations_of(policy: Policy) -> list[tuple[str, list[np.ndarray]]]:
 
 def _model_of(onnx: Any, policy: Policy) -> Any:
     make, nodes, tensors = onnx.helper, [], []
-    before = "observations"
-    operations = _operations_of(policy)
+    before, operations = "observations", _operations_of(policy)
     for i, (name, values) in enumerate(operations):
         names = [f"{i}.{k}" for k in range(len(values))]
         tensors += [onnx.numpy_helper.from_array(*each) for each in zip(values, names, strict=True)]

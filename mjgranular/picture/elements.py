@@ -278,8 +278,7 @@ def _rod_bodies(rods: np.ndarray) -> _Bodies:
 
 
 def _blob_bodies(blobs: np.ndarray) -> _Bodies:
-    kinds = []
-    sizes = blobs["radii"] + blobs["halves"]
+    kinds, sizes = [], blobs["radii"] + blobs["halves"]
     for blob, size in zip(blobs, sizes, strict=True):
         if blob["disc"] > 0:
             kinds.append(mujoco.mjtGeom.mjGEOM_CYLINDER)

@@ -159,8 +159,7 @@ def mean_at(state, size, blocks, cell, u, v):
     i, j = math.floor(a + 0.5), math.floor(b + 0.5)
     a, b = a - i, b - j
     row, first = (i - 2) % blocks, (j - 2) % blocks
-    sums = start_of(size, ARRAYS)
-    total = 0.0
+    sums, total = start_of(size, ARRAYS), 0.0
     for di in range(-2, 3):
         begin, column, part = sums + row * blocks, first, 0.0
         for dj in range(-2, 3):

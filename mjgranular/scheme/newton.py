@@ -67,8 +67,7 @@ def newton(table, w, search):
             error = math.inf
     else:
         error, mismatch = evaluate(table, w, RESPOND, eps, search.update, search.loose)
-    done = 1
-    stuck = 0
+    done, stuck = 1, 0
     while (
         done <= search.steps
         and stuck < _STUCK

@@ -187,8 +187,7 @@ def cancelled(w, own, velocity):
     Slide joints count by a bound of their sum, sqrt(n) times their norm, which does not depend on
     the world's axes.
     """
-    largest = 0.0
-    last = -1
+    largest, last = 0.0, -1
     for i in range(own.count):
         body = own.heads[i].body
         if body == last:

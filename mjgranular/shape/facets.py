@@ -78,8 +78,7 @@ def facets_from_model(
         rings = [int(resolution)] * len(ordered)
     model = copy.copy(model)
     data = sizes.data_at_start(model)
-    parts = []
-    count = 0
+    parts, count = [], 0
     # One surface at a time: the cells of all would fill the memory.
     for geom, fine in zip(ordered, rings, strict=True):
         if int(model.geom_type[geom]) == _GEOM.mjGEOM_MESH:

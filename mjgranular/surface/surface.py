@@ -208,8 +208,7 @@ def bed_probe(bed, point):
     normal = read_vector(bed.normal, 0)
     along = abs(dot(from_top, read_vector(bed.along, 0))) - bed.half_along
     across = abs(dot(from_top, read_vector(bed.across, 0))) - bed.half_across
-    beside = max(along, across)
-    depth = -dot(normal, from_top)
+    beside, depth = max(along, across), -dot(normal, from_top)
     if beside > 0.0:
         depth = -beside
     elif depth > _ROOM * bed.thickness:

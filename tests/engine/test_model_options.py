@@ -306,3 +306,25 @@ def test_a_starved_solver_gives_no_energy(solver, warmstart):
         data = mujoco.MjData(model)
         data.qvel[:] = np.random.default_rng(seed).normal(size=model.nv)
         assert max(work_of_step(sand, data) for _ in range(60)) <= 1e-12
+
+
+def test_muscles_whose_range_of_length_the_compiler_finds() -> None:
+    muscles = """<mujoco>{}<worldbody>
+      <body name="foot" pos="0 0 .1"><freejoint/><geom type="box" size=".1 .05 .02"/>
+        <body><joint name="knee" axis="0 1 0" range="-60 60"/>
+          <geom type="capsule" fromto="0 0 .05 0 0 .2" size=".01"/></body></body>
+      </worldbody>
+      <actuator><muscle joint="knee"/><muscle joint="knee" gear="-2"/></actuator>{}</mujoco>"""
+    plain = mujoco.MjModel.from_xml_string(muscles.format("", ""))
+    sand = '<plugin plugin="mjgranular.sand"><instance name="sand"/></plugin>'
+    model = mujoco.MjModel.from_xml_string(
+        muscles.format(
+            f'<extension>{sand}<plugin plugin="mjgranular.sensor"/></extension>',
+            '<sensor><plugin plugin="mjgranular.sensor"><config key="measure" value="depth"/>'
+            "</plugin></sensor>",
+        )
+    )
+    np.testing.assert_array_equal(model.actuator_lengthrange, plain.actuator_lengthrange)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    assert data.sensordata[0] == pytest.approx(-0.08)

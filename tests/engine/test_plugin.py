@@ -294,6 +294,57 @@ def test_what_is_written_survives_xml_copy_and_attach() -> None:
     np.testing.assert_allclose(ends[1:], ends[:1] * 3, rtol=1e-6)  # XML rounds masses
 
 
+EMPTY_BEDS = """<mujoco><worldbody>
+    <geom name="left" type="box" size=".5 .5 .2" pos="-.5 0 -.2"/>
+    <geom name="right" type="box" size=".5 .5 .2" pos=".5 0 -.2"/>
+    </worldbody></mujoco>"""
+LONE_BOX = """<mujoco><worldbody><body name="base" pos="0 0 .1"><freejoint/>
+    <geom type="box" size=".05 .05 .05"/></body></worldbody></mujoco>"""
+
+
+def _arena(sands: int, *, robots_first: bool) -> mujoco.MjSpec:
+    """Return beds and two robots, which are attached before or after that many sands are added."""
+    spec = mujoco.MjSpec.from_string(EMPTY_BEDS)
+
+    def attach() -> None:
+        for prefix in ("a/", "b/"):
+            robot = mujoco.MjSpec.from_string(LONE_BOX)
+            spec.attach(robot, prefix=prefix, frame=spec.worldbody.add_frame())
+
+    if robots_first:
+        attach()
+    for side in ("left", "right")[:sands]:
+        add_sand(spec, surface=Bed(side))
+    if not robots_first:
+        attach()
+    return spec
+
+
+@pytest.mark.parametrize("robots_first", [True, False])
+def test_sand_stays_when_a_robot_is_deleted(robots_first: bool) -> None:
+    for change in (lambda spec: spec.delete(spec.body("a/base")), lambda spec: None):
+        spec = _arena(1, robots_first=robots_first)
+        change(spec)
+        again = mujoco.MjSpec.from_string(spec.to_xml())
+        for other in (spec, spec.copy(), again, again.copy()):
+            assert sands_in(other.compile()) == ("sand",)
+
+
+def test_two_sands_around_one_robot_survive_a_copy() -> None:
+    spec = _arena(0, robots_first=True)
+    spec.delete(spec.body("b/base"))
+    for side in ("left", "right"):
+        add_sand(spec, surface=Bed(side))
+    assert sands_in(spec.copy().compile()) == ("sand", "sand_2")
+
+
+def test_static_bodies_are_fused_as_without_sand() -> None:
+    post = '<compiler fusestatic="true"/><worldbody><body><geom size=".1"/></body>'
+    spec = mujoco.MjSpec.from_string(LONE_BOX.replace("<worldbody>", post))
+    add_sand(spec)
+    assert spec.compile().nbody == 2
+
+
 def _assets() -> dict[str, bytes]:
     from mjgranular.models.link import model_path
 
