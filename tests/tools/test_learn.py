@@ -431,6 +431,14 @@ def test_figures_of_info_are_means_over_the_episode():
     json.dumps(score.as_json(), allow_nan=False)
 
 
+def test_the_random_agent_depends_on_the_seed_of_the_episode_alone():
+    seeds, task = range(5, 8), "mjgranular/Hopper-v0"
+    agent = lambda env: make_baseline("random", task, env)  # noqa: E731
+    together = run_episodes(task, {}, agent, seeds)
+    apart = [run_episodes(task, {}, agent, [seed]).returns[0] for seed in seeds]
+    assert together.returns.tolist() == apart
+
+
 def test_baselines():
     box = gym.spaces.Box(np.array([-1.0, 2.0]), np.array([1.0, 3.0]), dtype=np.float64)
     env = SimpleNamespace(action_space=box)
