@@ -68,8 +68,6 @@ class SandVecEnv(VecEnv):
         done = terminated | truncated
         final = info.pop("final_obs", None)
         ended = info.pop("final_info", {})
-        for name in ("_final_obs", "_final_info"):
-            info.pop(name, None)
         if self._full_info:
             infos = _split(info, ~done)
         else:

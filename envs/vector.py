@@ -150,10 +150,12 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         """Advance every simulation by `frame_skip` substeps, or begin its next episode.
 
         Raises:
-            InputError: the actions have another shape, or are not finite.
+            InputError: the actions have another shape, or are not finite; or there was no reset.
         """
         task, state = self.task, self._state
         actions = check_actions(actions, self.action_space.shape)
+        if not self._episodes.all():
+            raise InputError("simulations must be reset before they are stepped: call reset()")
         again = self._over.copy()
         if self.autoreset_mode is not AutoresetMode.NEXT_STEP and again.any():
             raise InputError(

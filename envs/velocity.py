@@ -598,8 +598,7 @@ class Go1Velocity(Task):
         return info
 
     def place(self, state: State) -> dict[str, np.ndarray]:
-        command = {"command": self.command(state).copy()}
-        return coordinates("position", state.qpos, "xy") | command
+        return coordinates("position", state.qpos, "xy") | {"command": self.command(state).copy()}
 
     def progress(self, before: Any, state: State) -> dict[str, np.ndarray]:
         velocity, command = self.velocity(state), self.command(state)

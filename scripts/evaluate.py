@@ -1,4 +1,4 @@
-"""Evaluate a policy from scripts/train.py, over ten seeds.
+"""Evaluate a policy from scripts/train.py, over ten episodes.
 
 python scripts/evaluate.py mjgranular/ChainSwim-v0 policy
 """

@@ -6,15 +6,12 @@ The study is kept in DIR/study.db: the same command adds trials to it, and sever
 work on it at once. Change `suggest` for other settings and ranges.
 """
 
-from __future__ import annotations
-
 import argparse
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from mjgranular._util.checks import require
-from mjgranular.errors import GranularError, UnstableError
+from mjgranular.errors import GranularError, InputError, UnstableError
 from mjgranular.learn import change, find_settings
 from mjgranular.learn.evaluate import evaluate
 from mjgranular.learn.policies import load_policy
@@ -35,10 +32,11 @@ def suggest(trial: Any) -> list[str]:
 
 def run_trial(trial: Any, options: argparse.Namespace) -> float:
     """Train and evaluate; return the mean return over ten seeds."""
-    changes = suggest(trial)
-    trial.set_user_attr("set", " ".join(changes))
-    settings = change(find_settings(options.env, algorithm="ppo"), [*options.set, *changes])
-    settings = replace(settings, total_steps=options.total_steps)
+    # Seeded for each trial: each process would suggest the same ones again.
+    trial.study.sampler = type(trial.study.sampler)(seed=1000 * options.seed + trial.number)
+    suggested = suggest(trial)
+    trial.set_user_attr("set", " ".join([*options.set, *suggested]))
+    settings = change(options.settings, [*suggested, f"total_steps={options.total_steps}"])
     run = begin_run(options.out / f"trial-{trial.number}", options.env, settings, seed=options.seed)
     with run.locked():
         if train(run).stopped_by is not None:
@@ -58,18 +56,19 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0, help="of all trials and the sampler")
     parser.add_argument("--out", type=Path, default=Path("tuned"))
     options = parser.parse_args()
+    name = f"{options.env} {options.total_steps} steps, seed {options.seed} {options.set}"
     try:
         optuna = require("optuna", extra="tune", purpose="Tuning")
+        options.settings = change(find_settings(options.env, algorithm="ppo"), options.set)
         options.out.mkdir(parents=True, exist_ok=True)
+        storage = f"sqlite:///{options.out / 'study.db'}"
+        if others := {*optuna.get_all_study_names(storage)} - {name}:
+            raise InputError(f"{options.out} has trials of {min(others)}: use another --out")
         study = optuna.create_study(
-            storage=f"sqlite:///{options.out / 'study.db'}",
-            study_name=f"{options.env} {options.total_steps}",
-            sampler=optuna.samplers.TPESampler(seed=options.seed),
-            direction="maximize",
-            load_if_exists=True,
+            storage=storage, study_name=name, direction="maximize", load_if_exists=True
         )
         study.optimize(lambda trial: run_trial(trial, options), options.trials, catch=UnstableError)
-    except GranularError as error:
+    except (GranularError, OSError) as error:
         raise SystemExit(f"error: {error}") from None
     best = study.best_trial
     print(f"best of {len(study.trials)}: trial-{best.number}, mean return {best.value:.4g}")

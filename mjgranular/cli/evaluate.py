@@ -49,7 +49,8 @@ class EvaluateCommand:
 
     Each POLICY is the folder of a run, the name of a policy that comes with the package
     (`mjgranular list policies`), or with --agent zero, random or gait the id of an environment.
-    --on adds other sands: every policy is run in its own environment and in each of the variants.
+    --on adds other sands: every policy is run in its own environment and in each of the variants;
+    with --env in the variants of that one alone.
     """
 
     policies: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="POLICY ...")]
@@ -97,7 +98,8 @@ class EvaluateCommand:
             find_actor(what, agent=self.agent, environment=self.env, gait=gait, trust=self.trust)
             for what in self.policies
         ]
-        jobs = [(actor, variant) for actor in actors for variant in dict.fromkeys(("", *self.on))]
+        variants = dict.fromkeys(self.on if self.env and self.on else ("", *self.on))
+        jobs = [(actor, variant) for actor in actors for variant in variants]
         for actor, variant in jobs:
             arguments = {**actor.arguments, **parse_variant(variant)}
             with closing(environments.one(actor.environment, arguments)) as env:
@@ -161,7 +163,6 @@ def find_actor(
     if environment is None:  # otherwise the user names it
         run.check_environment()
     env_id = environment or run.environment
-    environments.find_spec(env_id)
     arguments = dict(run.settings.environment) if env_id == run.environment else {}
     return Actor(what, env_id, arguments, policy)
 

@@ -1,8 +1,10 @@
 """Agents that need no training: zero, random, a scripted gait. `policies.Policy` is another."""
 
+import copy
 import importlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -43,12 +45,20 @@ def make_baseline(
         return make_gait(env_id, env, gait or {})
     space = getattr(env, "single_action_space", None) or env.action_space
     if name == "random":
-        space.seed(0)
-        return Baseline(lambda steps: np.array([space.sample() for _ in steps]))
+        return Baseline(partial(_sample, env, space, []))
     middle: Any = 0
     if hasattr(space, "low"):
         middle = np.clip(0.0, space.low, space.high).astype(space.dtype)
     return Baseline(lambda steps: np.array([middle] * len(steps)))
+
+
+def _sample(env: Any, space: Any, own: list[Any], steps: np.ndarray) -> np.ndarray:
+    """Return random actions, in each environment by the seed of its first episode."""
+    while len(own) < len(steps):  # seeds are consecutive
+        first = np.atleast_1d(getattr(env, "np_random_seed", 0)).tolist()[0]
+        own.append(copy.deepcopy(space))
+        own[-1].seed(first + len(own) - 1)
+    return np.array([each.sample() for each in own])
 
 
 def make_gait(

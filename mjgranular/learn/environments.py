@@ -68,10 +68,9 @@ def for_filming(
     takes_all = any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters.values())
     if camera is not None and not (takes_all or "camera_name" in parameters):
         raise InputError(f"{env_id} has no cameras to choose from: omit --camera")
-    options: dict[str, Any] = {"width": width, "height": height}
-    if camera is not None:
-        options["camera_name"] = camera
-    options = {name: options[name] for name in options if takes_all or name in parameters}
+    named = {} if camera is None else {"camera_name": camera}
+    wanted: dict[str, Any] = {"width": width, "height": height, **named}
+    options = {name: wanted[name] for name in wanted if takes_all or name in parameters}
     return one(env_id, {**arguments, "render_mode": "rgb_array", **options})
 
 

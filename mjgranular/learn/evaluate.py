@@ -43,12 +43,9 @@ def run_episodes(
         with closing(environments.several(env_id, arguments, num_envs=len(some))) as env:
             parts.append(_step_to_end(env, make_agent(env), some))
     names = [name for name in parts[0].figures if all(name in part.figures for part in parts)]
-    return Episodes(
-        np.concatenate([part.seeds for part in parts]),
-        np.concatenate([part.returns for part in parts]),
-        np.concatenate([part.lengths for part in parts]),
-        {name: np.concatenate([part.figures[name] for part in parts]) for name in names},
-    )
+    rows = zip(*((part.seeds, part.returns, part.lengths) for part in parts), strict=True)
+    figures = {name: np.concatenate([part.figures[name] for part in parts]) for name in names}
+    return Episodes(*map(np.concatenate, rows), figures)
 
 
 def _step_to_end(env: Any, agent: Agent, seeds: list[int]) -> Episodes:
@@ -179,8 +176,7 @@ def evaluate(
     check_seeds(seeds, first_seed)
     arguments = {**arguments, **parse_variant(variant)}
     consecutive = range(first_seed, first_seed + seeds)
-    episodes = run_episodes(env_id, arguments, make_agent, consecutive)
-    return Score(agent, env_id, variant, episodes)
+    return Score(agent, env_id, variant, run_episodes(env_id, arguments, make_agent, consecutive))
 
 
 def check_seeds(seeds: int, first_seed: int = FIRST_SEED) -> None:

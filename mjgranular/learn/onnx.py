@@ -128,12 +128,10 @@ def _model_of(onnx: Any, policy: Policy) -> Any:
         options = {"transB": 1} if name == "Gemm" else {}
         nodes.append(make.make_node(name, [before, *names], [after], **options))
         before = after
+    spaces = {"observations": policy.model.observation_space, "actions": policy.model.action_space}
     ends = [
         make.make_tensor_value_info(name, onnx.TensorProto.FLOAT, ["n", *space.shape])
-        for name, space in (
-            ("observations", policy.model.observation_space),
-            ("actions", policy.model.action_space),
-        )
+        for name, space in spaces.items()
     ]
     graph = make.make_graph(nodes, policy.run.environment, ends[:1], ends[1:], tensors)
     opset = make.make_opsetid("", _OPSET)

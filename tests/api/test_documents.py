@@ -1,5 +1,6 @@
 """What a reader can run, runs: scripts, benchmarks, code in the pages, the site itself."""
 
+import json
 import re
 import shutil
 import subprocess
@@ -59,8 +60,23 @@ def test_the_tuning_script(tmp_path):
     assert len(script.read_text().splitlines()) <= 80
     printed = run(script, *TUNE, "--out", "tuned", cwd=tmp_path)
     assert printed.startswith("best of 2: trial-")
-    assert "--set learning_rate=linear_" in printed
+    assert "--set num_envs=1 n_steps=64 batch_size=64 environment.max_episode_steps=20 " in printed
     assert (tmp_path / "tuned" / "trial-1" / "policy.zip").exists()
+    assert run(script, *TUNE, "--out", "tuned", cwd=tmp_path).startswith("best of 4: trial-")
+    folders = (tmp_path / "tuned" / f"trial-{number}" for number in range(4))
+    tried = {
+        json.loads((each / "config.json").read_text())["settings"]["arguments"]["gamma"]
+        for each in folders
+    }
+    assert len(tried) == 4  # the same command tries others
+    more = subprocess.run(
+        [sys.executable, script, *TUNE, "batch_size=32", "--out", "tuned"],
+        capture_output=True, text=True, check=False, cwd=tmp_path,
+    )  # fmt: skip
+    assert more.returncode == 1
+    assert re.search(
+        r"error: tuned has trials of Pendulum-v1 64 steps.*use another --out", more.stderr
+    )
 
 
 def test_the_tuning_script_without_optuna_gives_the_install_line(tmp_path, monkeypatch):

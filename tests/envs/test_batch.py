@@ -176,6 +176,8 @@ def test_wrong_input_is_told():
     batch = SandVectorEnv("ChainSwim", 2)
     with pytest.raises(InputError, match="2 simulations need as many seeds, not 3"):
         batch.reset(seed=[1, 2, 3])
+    with pytest.raises(InputError, match="must be reset before they are stepped"):
+        batch.step(np.zeros((2, 6), np.float32))
     batch.reset(seed=0)
     with pytest.raises(ValueError, match=r"Expected \(2, 6\), found \(6,\)"):
         batch.step(np.zeros(6))

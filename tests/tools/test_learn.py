@@ -431,6 +431,23 @@ def test_figures_of_info_are_means_over_the_episode():
     json.dumps(score.as_json(), allow_nan=False)
 
 
+def test_the_random_agent_depends_on_the_seed_of_the_episode_alone():
+    seeds, task = range(5, 8), "mjgranular/Hopper-v0"
+    agent = lambda env: make_baseline("random", task, env)  # noqa: E731
+    together = run_episodes(task, {}, agent, seeds)
+    apart = [run_episodes(task, {}, agent, [seed]).returns[0] for seed in seeds]
+    assert together.returns.tolist() == apart
+
+
+def test_another_environment_may_need_arguments(robots, capsys):
+    command = ["evaluate", "Go1Velocity-v0/ppo-6", "--env", "mjgranular/Go2Velocity-v0"]
+    command += ["--seeds", "2", "--json", "--on", "history=4,max_episode_steps=3"]
+    assert main(command) == 0
+    (score,) = json.loads(capsys.readouterr().out)
+    assert score["variant"] == "history=4,max_episode_steps=3"
+    assert score["length"]["mean"] == 3
+
+
 def test_baselines():
     box = gym.spaces.Box(np.array([-1.0, 2.0]), np.array([1.0, 3.0]), dtype=np.float64)
     env = SimpleNamespace(action_space=box)
