@@ -17,6 +17,7 @@ _STEEP = 0.5
 """Component against gravity from which on a contact's normal carries; chosen: walls have less."""
 
 _TOLD = 4  # maximum number of geoms named in a message
+_GROUND = (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD)
 _FLOOR, _SAND = 4, 5  # geom groups of the model that rays are cast in
 
 
@@ -25,7 +26,7 @@ def find_floors(model: mujoco.MjModel, geoms: Sequence[int], surface: Surface) -
 
     From each geom that meets the sand, at `qpos0`, rays are cast down, along the normal of a plane,
     to the sand and to what is fixed to the world and collides with that geom. Ground that is hit
-    before the sand carries the geom.
+    before the sand carries the geom; the base on which a robot's own joints sit does not.
     """
     sand = surface.geoms(model)
     plane = surface if isinstance(surface, Plane) else None
@@ -90,10 +91,10 @@ class FloorWatch:
         pairs = contact.geom
         acts = (contact.efc_address >= 0) & (pairs >= 0).all(axis=1)  # a flex has no geom
         acts &= np.abs(contact.frame[:, :3] @ up_of(self._model)) > _STEEP
-        for pair in pairs[acts]:
-            for floor, geom in (pair, pair[::-1]):
-                if self._fixed[floor] and self._meets[geom]:
-                    self.floors.add(int(floor))
+        both = np.concatenate([pairs[acts], pairs[acts, ::-1]])
+        for floor, geom in both[self._fixed[both[:, 0]] & self._meets[both[:, 1]]].tolist():
+            if not _is_base(self._model, floor, geom):
+                self.floors.add(floor)
 
 
 def describe_floors(model: mujoco.MjModel, floors: Sequence[int], does: str) -> str:
@@ -114,6 +115,14 @@ def _is_fixed(model: mujoco.MjModel, geom: int) -> bool:
     return bool(model.body_weldid[body] == 0 and model.body_mocapid[body] < 0)
 
 
+def _is_base(model: mujoco.MjModel, floor: int, geom: int) -> bool:
+    """Return True if a fixed geom is of the base from which the geom's body hangs by joints."""
+    base, body = int(model.geom_bodyid[floor]), int(model.geom_bodyid[geom])
+    while body > base:  # parents have lower numbers
+        body = int(model.body_parentid[body])
+    return body == base > 0 and int(model.geom_type[floor]) not in _GROUND
+
+
 def _collisions(model: mujoco.MjModel, geoms: Sequence[int], others: Sequence[int]) -> np.ndarray:
     """Return which geoms make contacts with which others: bool, shape (geoms, others)."""
     types, affinities = model.geom_contype, model.geom_conaffinity
@@ -121,7 +130,8 @@ def _collisions(model: mujoco.MjModel, geoms: Sequence[int], others: Sequence[in
     pairs = {frozenset(ends) for ends in zip(model.pair_geom1, model.pair_geom2, strict=True)}
     if pairs:
         meets |= [[frozenset((geom, other)) in pairs for other in others] for geom in geoms]
-    return meets != 0
+    bases = [[_is_base(model, other, geom) for other in others] for geom in geoms]
+    return (meets != 0) & ~np.array(bases, bool).reshape(meets.shape)
 
 
 def _cast(
