@@ -17,7 +17,6 @@ _STEEP = 0.5
 """Component against gravity from which on a contact's normal carries; chosen: walls have less."""
 
 _TOLD = 4  # maximum number of geoms named in a message
-_GROUND = (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD)
 _FLOOR, _SAND = 4, 5  # geom groups of the model that rays are cast in
 
 
@@ -46,8 +45,6 @@ def find_floors(model: mujoco.MjModel, geoms: Sequence[int], surface: Surface) -
     down = -up_of(model) if plane is None else -plane.normal
     found = set()
     for geom, against in zip(geoms, meets, strict=True):
-        if not against.any():
-            continue
         rays.geom_group[fixed] = np.where(against, _FLOOR, 0)
         # Start above the geom, which may be inside its own floor.
         start = data.geom_xpos[geom] - model.geom_rbound[geom] * down
@@ -76,8 +73,7 @@ class FloorWatch:
 
     def __init__(self, model: mujoco.MjModel, geoms: Sequence[int], surface: Surface) -> None:
         sand, self._model = surface.geoms(model), model
-        self._meets = np.zeros(model.ngeom, bool)
-        self._meets[list(geoms)] = True
+        self._meets = np.isin(np.arange(model.ngeom), geoms)
         self._fixed = np.array(
             [_is_fixed(model, geom) and geom not in sand for geom in range(model.ngeom)], bool
         )
@@ -120,7 +116,7 @@ def _is_base(model: mujoco.MjModel, floor: int, geom: int) -> bool:
     base, body = int(model.geom_bodyid[floor]), int(model.geom_bodyid[geom])
     while body > base:  # parents have lower numbers
         body = int(model.body_parentid[body])
-    return body == base > 0 and int(model.geom_type[floor]) not in _GROUND
+    return body == base > 0 and int(model.geom_type[floor]) > int(mujoco.mjtGeom.mjGEOM_HFIELD)
 
 
 def _collisions(model: mujoco.MjModel, geoms: Sequence[int], others: Sequence[int]) -> np.ndarray:
@@ -138,7 +134,6 @@ def _cast(
     model: mujoco.MjModel, data: mujoco.MjData, start: np.ndarray, along: np.ndarray, group: int
 ) -> tuple[float, int]:
     """Return the distance [m] and id of the first geom of a group along a ray; inf, -1 for none."""
-    groups, hit = np.zeros(6, np.uint8), np.full(1, -1, np.int32)
-    groups[group] = 1
+    groups, hit = np.eye(6, dtype=np.uint8)[group], np.full(1, -1, np.int32)
     distance = mujoco.mj_ray(model, data, start, along, groups, 1, -1, hit)
     return (float(distance), int(hit[0])) if hit[0] >= 0 else (np.inf, -1)
