@@ -239,8 +239,7 @@ class ModelTrial(DropTrial):
         run = self.run
         model, _ = load(Drop(run.model, keyframe=run.keyframe))
         (body,) = find_all(model, "body", run.model_body)
-        floors = find_floors(model, geoms_in_sand(model, SandSpec()), Plane())
-        if floors:
+        if floors := find_floors(model, geoms_in_sand(model, SandSpec()), Plane()):
             raise run.error(
                 f"{describe_floors(model, floors, WOULD_CARRY)}: remove it from the model, the "
                 "sand is in its place"

@@ -363,14 +363,13 @@ def start_from(model: mujoco.MjModel, data: mujoco.MjData, keyframe: str | None)
 
 def _place(drop: Drop, model: mujoco.MjModel, data: mujoco.MjData, sand: Sand) -> None:
     start_from(model, data, drop.keyframe)
-    if drop.height is None and drop.velocity == 0.0:
-        return
     roots = _vertical_dofs(model)
-    if not roots:
-        raise InputError(
-            "the model has no free joint (in URDF: floating) and no vertical slide at its root: it "
-            "can be neither lifted (--height) nor thrown (--velocity); use a keyframe instead"
-        )
+    held = "the model has no free joint (in URDF: floating) and no vertical slide at its root"
+    if drop.height is None and drop.velocity == 0.0:
+        if model.body_parentid[model.jnt_bodyid].all():
+            warn_user(f"{held}: its base is fixed to the world, and does not fall")
+    elif not roots:
+        raise InputError(f"{held}: --height and --velocity cannot move it; use a keyframe instead")
     for _, velocity, sign in roots:
         data.qvel[velocity] -= sign * drop.velocity
     if drop.height is not None:
@@ -384,10 +383,7 @@ def _place(drop: Drop, model: mujoco.MjModel, data: mujoco.MjData, sand: Sand) -
 def _vertical_dofs(model: mujoco.MjModel) -> list[tuple[int, int, float]]:
     """Return index in `qpos` and `qvel` and sign of up, for each vertical joint of a root body."""
     found = []
-    for joint in range(model.njnt):
-        body = int(model.jnt_bodyid[joint])
-        if model.body_parentid[body] != 0:
-            continue
+    for joint in np.flatnonzero(model.body_parentid[model.jnt_bodyid] == 0):
         position, velocity = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
         if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE:
             found.append((position + 2, velocity + 2, 1.0))

@@ -100,8 +100,7 @@ def refuse_floors(model: mujoco.MjModel, sand: SandSpec) -> None:
     Contacts of geoms that the sand replaces are switched off in the model.
     """
     replace_geoms(model, sand.instead_of)
-    floors = find_floors(model, geoms_in_sand(model, sand), surface_of(sand.surface))
-    if floors:
+    if floors := find_floors(model, geoms_in_sand(model, sand), surface_of(sand.surface)):
         raise InputError(_about(model, floors, WOULD_CARRY))
 
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from mjgranular import errors
 from mjgranular.errors import listed, warn_user
+from mjgranular.kernel.records import NO_GRAVITY
 from mjgranular.law import DepthVelocityLaw, DistributedLinkLaw, Law, LinkLaw
 from mjgranular.law.rft import RftLaw
 from mjgranular.medium.medium import DENSITIES
@@ -114,8 +115,7 @@ _REMEDY = ": name in instead_of=[...] what the sand replaces, or put that ground
 
 def floors(case: Case) -> Iterator[str]:
     """Check that bodies will not stand on the model's own ground."""
-    found = find_floors(case.model, case.geoms, case.surface)
-    if found:
+    if found := find_floors(case.model, case.geoms, case.surface):
         yield describe_floors(case.model, found, WOULD_CARRY) + _REMEDY
 
 
@@ -187,6 +187,9 @@ gravity along y it is 90."""
 _ROUNDING = 1e-6  # tolerance for a slope equal to the angle of repose [rad]
 _LEVEL = 1e-3  # vertical component of an axis up to which it counts as level
 
+_STRONGEST = 100.0
+"""Gravity [m/s^2]. The Sun's planets have up to 25; in centimeters it is 981."""
+
 _OF_SAND = (LinkLaw, DistributedLinkLaw, RftLaw, DepthVelocityLaw)
 """Laws known to be of sand: a custom law may be of mud, or of a lake."""
 
@@ -226,9 +229,14 @@ def timestep(case: Case) -> Iterator[str]:
 
 
 def gravity(case: Case) -> Iterator[str]:
-    """Check that gravity pulls into a plane of sand; a wall is allowed if it was asked for."""
-    pull = case.model.opt.gravity
-    strength = float(np.linalg.norm(pull))
+    """Check the size of gravity, and that it pulls into a plane; a wall is allowed if asked for."""
+    pull, weightless = case.model.opt.gravity, case.model.opt.disableflags & NO_GRAVITY
+    strength = 0.0 if weightless else float(np.linalg.norm(pull))
+    if not 0.0 < strength < _STRONGEST and isinstance(case.law, _OF_SAND):
+        yield (
+            f"gravity is {strength:g} m/s^2, to which what most laws hold at rest is proportional: "
+            "on Earth opt.gravity is 0 0 -9.81, with lengths in meters"
+        )
     if not isinstance(case.surface, Plane) or strength == 0.0:
         return
     down = min(1.0, max(-pull[2], -float(pull @ case.surface.normal)) / strength)
@@ -277,10 +285,8 @@ def depth(case: Case, data: mujoco.MjData, when: str) -> Iterator[str]:
     if not isinstance(surface, Plane) or not isinstance(case.law, _OF_SAND):
         return
     rows, normal = np.asarray(case.geoms), surface.normal
-    tops = [
-        np.abs(normal @ data.geom_xmat[geom].reshape(3, 3)) @ half_extents(model, geom)
-        for geom in case.geoms
-    ]
+    half = [half_extents(model, geom) for geom in case.geoms]
+    tops = (np.abs(normal @ data.geom_xmat[rows].reshape(-1, 3, 3)) * half).sum(axis=1)
     depths = surface.offset - data.geom_xpos[rows] @ normal - tops
     least = float(depths.min())
     if least > _DEEPEST_START:

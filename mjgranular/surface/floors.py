@@ -25,7 +25,7 @@ def find_floors(model: mujoco.MjModel, geoms: Sequence[int], surface: Surface) -
 
     From each geom that meets the sand, at `qpos0`, rays are cast down, along the normal of a plane,
     to the sand and to what is fixed to the world and collides with that geom. Ground that is hit
-    before the sand carries the geom.
+    before the sand carries the geom; the base on which a robot's own joints sit does not.
     """
     sand = surface.geoms(model)
     plane = surface if isinstance(surface, Plane) else None
@@ -44,8 +44,6 @@ def find_floors(model: mujoco.MjModel, geoms: Sequence[int], surface: Surface) -
     down = -up_of(model) if plane is None else -plane.normal
     found = set()
     for geom, against in zip(geoms, meets, strict=True):
-        if not against.any():
-            continue
         rays.geom_group[fixed] = np.where(against, _FLOOR, 0)
         # Start above the geom, which may be inside its own floor.
         start = data.geom_xpos[geom] - model.geom_rbound[geom] * down
@@ -74,8 +72,7 @@ class FloorWatch:
 
     def __init__(self, model: mujoco.MjModel, geoms: Sequence[int], surface: Surface) -> None:
         sand, self._model = surface.geoms(model), model
-        self._meets = np.zeros(model.ngeom, bool)
-        self._meets[list(geoms)] = True
+        self._meets = np.isin(np.arange(model.ngeom), geoms)
         self._fixed = np.array(
             [_is_fixed(model, geom) and geom not in sand for geom in range(model.ngeom)], bool
         )
@@ -89,10 +86,10 @@ class FloorWatch:
         pairs = contact.geom
         acts = (contact.efc_address >= 0) & (pairs >= 0).all(axis=1)  # a flex has no geom
         acts &= np.abs(contact.frame[:, :3] @ up_of(self._model)) > _STEEP
-        for pair in pairs[acts]:
-            for floor, geom in (pair, pair[::-1]):
-                if self._fixed[floor] and self._meets[geom]:
-                    self.floors.add(int(floor))
+        both = np.concatenate([pairs[acts], pairs[acts, ::-1]])
+        for floor, geom in both[self._fixed[both[:, 0]] & self._meets[both[:, 1]]].tolist():
+            if not _is_base(self._model, floor, geom):
+                self.floors.add(floor)
 
 
 def describe_floors(model: mujoco.MjModel, floors: Sequence[int], does: str) -> str:
@@ -113,6 +110,14 @@ def _is_fixed(model: mujoco.MjModel, geom: int) -> bool:
     return bool(model.body_weldid[body] == 0 and model.body_mocapid[body] < 0)
 
 
+def _is_base(model: mujoco.MjModel, floor: int, geom: int) -> bool:
+    """Return True if a fixed geom is of the base from which the geom's body hangs by joints."""
+    base, body = int(model.geom_bodyid[floor]), int(model.geom_bodyid[geom])
+    while body > base:  # parents have lower numbers
+        body = int(model.body_parentid[body])
+    return body == base > 0 and int(model.geom_type[floor]) > int(mujoco.mjtGeom.mjGEOM_HFIELD)
+
+
 def _collisions(model: mujoco.MjModel, geoms: Sequence[int], others: Sequence[int]) -> np.ndarray:
     """Return which geoms make contacts with which others: bool, shape (geoms, others)."""
     types, affinities = model.geom_contype, model.geom_conaffinity
@@ -120,14 +125,14 @@ def _collisions(model: mujoco.MjModel, geoms: Sequence[int], others: Sequence[in
     pairs = {frozenset(ends) for ends in zip(model.pair_geom1, model.pair_geom2, strict=True)}
     if pairs:
         meets |= [[frozenset((geom, other)) in pairs for other in others] for geom in geoms]
-    return meets != 0
+    bases = [[_is_base(model, other, geom) for other in others] for geom in geoms]
+    return (meets != 0) & ~np.array(bases, bool).reshape(meets.shape)
 
 
 def _cast(
     model: mujoco.MjModel, data: mujoco.MjData, start: np.ndarray, along: np.ndarray, group: int
 ) -> tuple[float, int]:
     """Return the distance [m] and id of the first geom of a group along a ray; inf, -1 for none."""
-    groups, hit = np.zeros(6, np.uint8), np.full(1, -1, np.int32)
-    groups[group] = 1
+    groups, hit = np.eye(6, dtype=np.uint8)[group], np.full(1, -1, np.int32)
     distance = mujoco.mj_ray(model, data, start, along, groups, 1, -1, hit)
     return (float(distance), int(hit[0])) if hit[0] >= 0 else (np.inf, -1)

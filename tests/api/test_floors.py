@@ -69,6 +69,19 @@ def test_what_carries_is_found(case):
     assert floors(world(ground, assets=FIELD), surface) == (["floor"] if carries else [])
 
 
+def test_the_base_of_an_arm_does_not_carry_its_links():
+    """This was an error of `drop` for every arm, with the advice to switch its base off."""
+    link = '<body pos="0 0 0.2"><joint/><geom type="capsule" size="0.03 0.1"/></body>'
+    arm = f"<body>{geom('box', 'foot')}<body>{geom('box', 'torso')}{link}</body></body>"
+    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{arm}</worldbody></mujoco>")
+    assert floors(model, Plane()) == []
+    data, watch = mujoco.MjData(model), FloorWatch(model, [model.ngeom - 1], Plane())
+    mujoco.mj_forward(model, data)
+    assert data.ncon
+    watch.look(data)
+    assert not watch.floors
+
+
 def test_down_is_where_gravity_pulls():
     turned = f'<body quat="1 1 0 0">{geom("plane", pos="0 0 0.3")}{BED}</body>'
     ball = BALL.format(x=0).replace("0 0 0.5", "0 -0.39 0")

@@ -31,6 +31,17 @@ CASES = [
         {},
         r"90 degrees off the way into",
     ),
+    # A part of a robot to be assembled, and an insect drawn in centimeters.
+    (
+        xml().replace("<option", '<option gravity="0 0 0"').replace(".03", ".032"),
+        {},
+        r"gravity is 0 m/s\^2",
+    ),
+    (
+        xml().replace("<option", '<option gravity="0 0 -981"').replace(".03", ".033"),
+        {},
+        r"gravity is 981 m/s\^2",
+    ),
     (xml(), {"surface": Plane(height=30)}, r"starts 29\.\d m and more under"),
 ]
 

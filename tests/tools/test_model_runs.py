@@ -325,6 +325,17 @@ def test_models_that_come_with_the_package_run():
         assert run_drop(drop).law == "link"
 
 
+def test_a_robot_that_cannot_fall_is_named(tmp_path):
+    """A walker to be attached to an arena has no free joint, and hung over the sand in silence."""
+    path = tmp_path / "walker.xml"
+    leg = '<body pos="0 0 -.1"><joint/><geom size=".05"/></body>'
+    path.write_text(f'<mujoco><worldbody><body pos="0 0 .14">{leg}</body></worldbody></mujoco>')
+    with pytest.warns(
+        errors.GranularWarning, match="base is fixed to the world, and does not fall"
+    ):
+        run_drop(Drop(path, duration=0.01))
+
+
 def test_a_model_that_asks_for_rk4_runs_with_another_integrator_and_says_so(ball):
     ball.write_text(BALL.replace("<worldbody>", '<option integrator="RK4"/><worldbody>', 1))
     with pytest.warns(errors.GranularWarning, match=r"ball\.xml asks for the integrator RK4"):
