@@ -43,9 +43,12 @@ def run_episodes(
         with closing(environments.several(env_id, arguments, num_envs=len(some))) as env:
             parts.append(_step_to_end(env, make_agent(env), some))
     names = [name for name in parts[0].figures if all(name in part.figures for part in parts)]
-    rows = zip(*((part.seeds, part.returns, part.lengths) for part in parts), strict=True)
-    figures = {name: np.concatenate([part.figures[name] for part in parts]) for name in names}
-    return Episodes(*map(np.concatenate, rows), figures)
+    return Episodes(
+        np.concatenate([part.seeds for part in parts]),
+        np.concatenate([part.returns for part in parts]),
+        np.concatenate([part.lengths for part in parts]),
+        {name: np.concatenate([part.figures[name] for part in parts]) for name in names},
+    )
 
 
 def _step_to_end(env: Any, agent: Agent, seeds: list[int]) -> Episodes:
