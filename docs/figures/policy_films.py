@@ -79,7 +79,7 @@ SHOWN = {
     "Ant": Shown("Ant-v0/ppo-0"),
     "Go1": Shown("Go1Velocity-v0/ppo-6", seconds=9.0, begin=2.0, apart=3.0, count=3),
     "Go2": Shown("Go2Velocity-v0/ppo-0", seconds=9.0, begin=2.0, apart=3.0, count=3),
-    "G1": Shown("G1Velocity-v0/ppo-8", seconds=9.0, begin=2.0, apart=3.0, count=3),
+    "G1": Shown("G1Velocity-v0/ppo-12", seconds=9.0, begin=2.0, apart=3.0, count=3),
 }
 
 

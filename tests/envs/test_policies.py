@@ -168,9 +168,10 @@ def test_a_robot_on_two_legs_gets_ahead_without_a_fall():
 
 
 @pytest.mark.usefixtures("robots")
-def test_the_second_robot_on_two_legs_walks_at_once_in_sand_half_as_strong():
-    policy = load_policy("G1Velocity-v0/ppo-10")
-    half = {"strength": (0.5, 0.5)}
+@pytest.mark.parametrize("medium", ["quikrete_medium", "yuma_sand"])
+def test_the_second_robot_on_two_legs_walks_at_once_in_weak_sand(medium):
+    policy = load_policy("G1Velocity-v0/ppo-12")
+    weak = {"strength": (0.5, 0.5) if medium == "quikrete_medium" else (1.0, 1.0)}
     still = {"command_x": (0.5, 0.5), "command_yaw": (0.0, 0.0), "push_scale": 0.0}
-    env = SandEnv(StraightG1(randomise=half, history=4, **still))
+    env = SandEnv(StraightG1(medium=medium, randomise=weak, history=4, **still))
     assert 0.2 < walk(policy, env, 250)[0] < 0.6
