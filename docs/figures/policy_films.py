@@ -78,7 +78,7 @@ SHOWN = {
     "Hopper": Shown("Hopper-v0/ppo-0"),
     "Ant": Shown("Ant-v0/ppo-0"),
     "Go1": Shown("Go1Velocity-v0/ppo-6", seconds=9.0, begin=2.0, apart=3.0, count=3),
-    "Go2": Shown("Go2Velocity-v0/ppo-0", seconds=9.0, begin=2.0, apart=3.0, count=3),
+    "Go2": Shown("Go2Velocity-v0/ppo-2", seconds=9.0, begin=2.0, apart=3.0, count=3),
     "G1": Shown("G1Velocity-v0/ppo-12", seconds=9.0, begin=2.0, apart=3.0, count=3),
 }
 
