@@ -222,7 +222,6 @@ def test_disabled_passive_forces_are_refused_by_the_plugin():
     sand.step()
 
 
-@pytest.mark.filterwarnings("ignore:gravity is 0")
 @pytest.mark.parametrize("scheme", ["explicit", "implicit"])
 def test_disabled_gravity_is_no_gravity(scheme):
     forces = []

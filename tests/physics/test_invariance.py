@@ -269,7 +269,6 @@ def test_force_is_continuous_at_the_surface(law):
     assert forces[-1] < 1e-6
 
 
-@pytest.mark.filterwarnings("ignore:gravity is 0")
 @pytest.mark.parametrize(("gravity", "factor"), [(0.0, 4.0), (9.81, 1.0)])
 def test_static_resistance_is_weight(gravity, factor):
     # Both static forces are proportional to g and do not go with speed; drag goes with its square.

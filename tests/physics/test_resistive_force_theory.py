@@ -973,7 +973,6 @@ def test_tilting_the_whole_scene(law, shape, state, slope, uphill, height):
 
 @each_law
 @pytest.mark.parametrize("gravity", [0.0, 1.62, 9.81])
-@pytest.mark.filterwarnings("ignore:gravity is 0")
 def test_gravity(law, gravity):
     # Stiffness is weight.
     state = ([0, 0, -0.1], [0.6, -0.3, 0.5, 0.2], [0.3, 0.4, -0.5])

@@ -158,7 +158,6 @@ def test_without_a_grain_size_the_inertial_number_is_not_known():
     assert not found["inertial_number"].holds
 
 
-@pytest.mark.filterwarnings("ignore:gravity is 0")
 def test_without_gravity_there_is_nothing_to_compare_with():
     found, report = moving(body(BOX, gravity=0.0))
     assert found["froude"].value == 0
