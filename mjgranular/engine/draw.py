@@ -14,7 +14,7 @@ from mjgranular.kernel.engine import connect_geom, init_geom
 from mjgranular.kernel.intrinsics import call_step
 from mjgranular.kernel.memory import field, floats, ints, longs, records, row_of, table_at
 from mjgranular.kernel.records import bodies_of, contacts_of
-from mjgranular.kernel.structs import offset_of, record_of
+from mjgranular.kernel.structs import record_of
 from mjgranular.kernel.vector import cross, dot, norm, read_vector, vector, write_vector
 from mjgranular.render.track_kernel import FRAME_DTYPE, canvases
 from mjgranular.surface.surface import PLANE_DTYPE
@@ -33,7 +33,7 @@ _bytes = records(np.dtype(np.uint8))
 _planes = records(PLANE_DTYPE)
 _frames = records(FRAME_DTYPE)
 _visuals, _statistics = records(record_of("mjVisual")), records(record_of("mjStatistic"))
-_VIS, _STAT = offset_of("mjModel", "vis"), offset_of("mjModel", "stat")
+_vis, _stat = field("mjModel", "vis"), field("mjModel", "stat")
 _most, _count = field("mjvScene", "maxgeom"), field("mjvScene", "ngeom")
 _geoms_of = field("mjvScene", "geoms")
 
@@ -205,7 +205,7 @@ def draw(block, scene, model, prints):
             add_prints(scene, header)
         elif header.tile_count != 0:
             add_surface(scene, header, surface, middle)
-    visual, statistic = _visuals(model + _VIS, 1)[0], _statistics(model + _STAT, 1)[0]
+    visual, statistic = _visuals(_vis(model), 1)[0], _statistics(_stat(model), 1)[0]
     width = visual.scale.forcewidth * statistic.meansize
     if header.draw & _FORCES:
         length = visual.map.force / statistic.meanmass
