@@ -122,11 +122,13 @@ def _collisions(model: mujoco.MjModel, geoms: Sequence[int], others: Sequence[in
     """Return which geoms make contacts with which others: bool, shape (geoms, others)."""
     types, affinities = model.geom_contype, model.geom_conaffinity
     meets = (types[geoms, None] & affinities[others]) | (affinities[geoms, None] & types[others])
+    meets = meets != 0
     pairs = {frozenset(ends) for ends in zip(model.pair_geom1, model.pair_geom2, strict=True)}
     if pairs:
         meets |= [[frozenset((geom, other)) in pairs for other in others] for geom in geoms]
-    bases = [[_is_base(model, other, geom) for other in others] for geom in geoms]
-    return (meets != 0) & ~np.array(bases, bool).reshape(meets.shape)
+    for row, column in np.argwhere(meets):
+        meets[row, column] = not _is_base(model, others[column], geoms[row])
+    return meets
 
 
 def _cast(
