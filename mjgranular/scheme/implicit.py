@@ -52,7 +52,9 @@ from mjgranular.scheme.workspace import (
 )
 from mjgranular.scheme.wrenches import add_wrenches, find_bad_wrench, withdraw_wrenches
 
-_NOTHING = 1e-150  # smallest momentum to divide by
+# Speed of each joint that counts as momentum at hand, also where constraints alone load it: what is
+# relative to less is rounding [m/s, rad/s]. Chosen: gravity adds 100 times as much in a step.
+_LEAST = 1e-4
 
 
 @dataclass(frozen=True)
@@ -212,11 +214,12 @@ def begin(w):
 
     It is a sum over joints. The three world-aligned axes of a free joint count by their norm.
     """
-    scale, pushes, speeds = 0.0, 0.0, 0.0
+    scale, pushes, speeds, least = 0.0, 0.0, 0.0, 0.0
     for j in range(w.nv):
         w.start[j] = w.velocity[j] = w.qvel[j]
         w.smooth[j] = w.h * (w.qfrc_smooth[j] + w.shift[j])
         light = math.sqrt(w.weight[j])
+        least += 1.0 / light
         push, speed = abs(w.smooth[j]) * light, abs(w.qvel[j]) / light
         if turns(w, j):
             scale += push + speed
@@ -226,7 +229,7 @@ def begin(w):
         if after == w.nv or w.dof_jntid[after] != w.dof_jntid[j] or turns(w, after):
             scale += math.sqrt(pushes) + math.sqrt(speeds)
             pushes, speeds = 0.0, 0.0
-    w.scale = max(scale, _NOTHING)
+    w.scale = max(scale, _LEAST * least)
 
 
 @compiled
