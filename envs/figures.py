@@ -8,6 +8,7 @@ import numpy as np
 
 from mjgranular.engine.instances import sands_in
 from mjgranular.engine.sensor import SandReadings
+from mjgranular.kernel.records import NO_GRAVITY
 from mjgranular.law.validity import found_at
 from mjgranular.sand import SandSpec
 from mjgranular.sand.material import material_of
@@ -32,10 +33,10 @@ class Figures:
         sensors = [int(model.sensor(f"sand/force/{name}").adr[0]) for name in names if not readings]
         self._blocks = readings.together if readings else sensors
         self.gravity = model.opt.gravity.copy()
-        limits = [_limits_of(model, sand) for sand in sands]
-        width, self._froude, self._depth, self._slope = np.array([some for some, _ in limits]).T
-        self._per_speed = 1 / np.sqrt(np.linalg.norm(self.gravity) * width)  # Froude of 1 m/s
-        self._found = [found for _, found in limits]
+        limits, self._found = zip(*(_limits_of(model, sand) for sand in sands), strict=True)
+        width, self._froude, self._depth, self._slope = np.array(limits).T
+        pull = 0.0 if model.opt.disableflags & NO_GRAVITY else np.linalg.norm(self.gravity)
+        self._per_speed = 1 / np.sqrt(pull * width) if pull else 0 * width  # Froude of 1 m/s
 
     def read(
         self, readings: np.ndarray, active: np.ndarray | int = 0, slope: np.ndarray | float = 0.0

@@ -189,6 +189,7 @@ _LEVEL = 1e-3  # vertical component of an axis up to which it counts as level
 
 _STRONGEST = 100.0
 """Gravity [m/s^2]. The Sun's planets have up to 25; in centimeters it is 981."""
+_WATER = 1000.0  # density of the densest fluid that may be meant [kg/m^3]; swimmers have 4000
 
 _OF_SAND = (LinkLaw, DistributedLinkLaw, RftLaw, DepthVelocityLaw)
 """Laws known to be of sand: a custom law may be of mud, or of a lake."""
@@ -235,7 +236,7 @@ def gravity(case: Case) -> Iterator[str]:
     if not 0.0 < strength < _STRONGEST and isinstance(case.law, _OF_SAND):
         yield (
             f"gravity is {strength:g} m/s^2, to which what most laws hold at rest is proportional: "
-            "on Earth opt.gravity is 0 0 -9.81, with lengths in meters"
+            "on Earth opt.gravity is 0 0 -9.81, with lengths in meters, and no flag disables it"
         )
     if not isinstance(case.surface, Plane) or strength == 0.0:
         return
@@ -246,6 +247,15 @@ def gravity(case: Case) -> Iterator[str]:
         yield (
             f"gravity, ({components}) m/s^2, is {math.degrees(off):.0f} degrees off the way into "
             "the sand: z is up, and gravity 0 0 -9.81 on level ground"
+        )
+
+
+def fluid(case: Case) -> Iterator[str]:
+    """Check that what swims in sand does not swim in the fluid of its model as well."""
+    if case.model.opt.density > _WATER:
+        yield (
+            f"a fluid of {case.model.opt.density:g} kg/m^3 fills the world, and resists in sand "
+            "too: set opt.density and opt.viscosity to 0"
         )
 
 
@@ -396,6 +406,7 @@ CHECKS = (
     (density, errors.RangeWarning),
     (timestep, errors.RangeWarning),
     (gravity, errors.RangeWarning),
+    (fluid, errors.RangeWarning),
     (slope, errors.RangeWarning),
     (start, errors.RangeWarning),
     (sizes, errors.RangeWarning),

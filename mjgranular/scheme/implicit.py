@@ -52,8 +52,8 @@ from mjgranular.scheme.workspace import (
 )
 from mjgranular.scheme.wrenches import add_wrenches, find_bad_wrench, withdraw_wrenches
 
-# Speed of each joint that counts as momentum at hand, also where constraints alone load it: what is
-# relative to less is rounding [m/s, rad/s]. Chosen: gravity adds 100 times as much in a step.
+# Least speed that each joint adds to the momentum at hand, also where constraints alone load it
+# [m/s, rad/s]. Chosen: gravity adds 100 times as much in a step.
 _LEAST = 1e-4
 
 

@@ -42,6 +42,19 @@ CASES = [
         {},
         r"gravity is 981 m/s\^2",
     ),
+    # A swimmer of Gymnasium or dm_control, and their fish.
+    (
+        xml().replace("<option", '<option density="4000"').replace(".03", ".034"),
+        {},
+        r"fluid of 4000",
+    ),
+    (
+        xml()
+        .replace("/><world", '><flag gravity="disable"/></option><world')
+        .replace(".03", ".035"),
+        {},
+        r"gravity is 0 m/s\^2.* and no flag disables it",
+    ),
     (xml(), {"surface": Plane(height=30)}, r"starts 29\.\d m and more under"),
 ]
 

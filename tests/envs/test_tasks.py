@@ -445,6 +445,14 @@ def test_the_error_that_was_found_is_told_with_the_force():
     assert high.reset(seed=0)[1]["sand/error"] == 0.0  # above the sand
 
 
+def test_without_gravity_the_froude_number_is_that_of_reports():
+    env = on_sand("Pusher-v5")
+    env.reset(seed=0)
+    info = env.step(env.action_space.high)[4]
+    assert info["sand/froude"] == 0.0
+    assert info["sand/valid"] is True
+
+
 @pytest.mark.parametrize("name", ["Ant", "Hopper"])
 def test_rigid_ground_is_the_floor_of_the_robots_own_model(name):
     task = tasks[name](rigid=math.inf)
