@@ -1171,3 +1171,35 @@ def test_elements_can_be_looked_at():
 )
 def test_width_is_the_middle_extent(name, width):
     assert facets(name)["width"] == pytest.approx(width)
+
+
+# Pull over load of the wheel of docs/shapes.md, by slip and resolution.
+PULLS = {
+    0.0: {4: -0.376, None: -0.148, 24: -0.110, 48: -0.104},
+    0.5: {4: 0.252, None: 0.088, 24: 0.085, 48: 0.085},
+    0.9: {4: 0.451, None: 0.227, 24: 0.131, 48: 0.073},
+}
+
+
+@pytest.mark.parametrize("slip", PULLS)
+def test_wheels_need_fine_facets(slip):
+    model = mujoco.MjModel.from_xml_string("""
+    <mujoco>
+      <option timestep="0.002" integrator="implicitfast"/>
+      <worldbody><body pos="0 0 .1">
+        <joint name="x" type="slide" axis="1 0 0"/><joint type="slide" axis="0 0 1"/>
+        <inertial mass="3" pos="0 0 0" diaginertia=".1 .1 .1"/>
+        <body name="wheel"><joint name="spin" axis="0 1 0" armature=".01"/>
+          <geom type="cylinder" size=".1 .03" euler="90 0 0" mass=".5"/></body>
+      </body></worldbody>
+      <actuator><velocity joint="spin" kv="50"/><velocity joint="x" kv="1e4"/></actuator>
+    </mujoco>""")
+    for resolution, expected in PULLS[slip].items():
+        data = mujoco.MjData(model)
+        data.ctrl[:] = 5.0, 0.5 * (1 - slip)
+        sand, pulls = Sand(model, medium="quikrete_medium", resolution=resolution), []
+        for step in range(1000):
+            sand.step(data)
+            if step > 600:
+                pulls.append(sand.report(data)["wheel"].force[0])
+        assert np.mean(pulls) / (3.5 * 9.81) == pytest.approx(expected, abs=0.01)
