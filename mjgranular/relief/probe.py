@@ -26,7 +26,7 @@ AHEAD = 1.5
 """How far ahead of a steep face sand is evaluated [cells]; chosen: past what it pressed down."""
 
 STEEP = 0.7
-"""Sine of the tilt from which a face looks ahead and presses nothing down; chosen: 45 degrees."""
+"""Sine of the tilt to the sand from which a face looks ahead and presses nothing down. Chosen."""
 
 state_length = compiled(state_size)  # `state_size` for kernels
 
@@ -107,7 +107,7 @@ def toward_kernel(probe: Any, is_flat: bool) -> Any:
 
     @compiled
     def toward(relief, point, outward):
-        n = read_vector(relief.normal, 0)
+        _, n = probe(relief.base, point)
         level = outward - dot(outward, n) * n
         tilt = norm(level)
         far = AHEAD * relief.cell / max(tilt, STEEP)

@@ -649,6 +649,31 @@ def test_prints_on_a_height_field_are_over_the_field() -> None:
         assert pushed.height.min() < -0.015
 
 
+def test_rolling_down_a_height_field_is_rolling_down_a_plane() -> None:
+    slope, went = 0.3, {}
+    rise = math.tan(slope)
+    for surface in (Plane(slope=slope, uphill=math.pi), HeightField("field")):
+        model = mujoco.MjModel.from_xml_string(f"""
+        <mujoco>
+          <option timestep="2e-3" integrator="implicitfast"/>
+          <asset><hfield name="field" nrow="2" ncol="2" size="3 3 {6 * rise} 1"/></asset>
+          <worldbody>
+            <geom name="field" type="hfield" hfield="field" pos="0 0 {-3 * rise}"
+              contype="0" conaffinity="0"/>
+            <body pos="{0.1 * math.sin(slope)} 0 {0.1 * math.cos(slope)}"><freejoint/>
+              <geom type="capsule" size=".05 .1" euler="90 0 0" density="1500"/></body>
+          </worldbody>
+        </mujoco>""")
+        model.hfield_data[:] = 1, 0, 1, 0
+        data = mujoco.MjData(model)
+        sand = Sand(model, medium="quikrete_medium", surface=surface, memory=True)
+        while data.time < 1.2:
+            sand.step(data)
+        went[surface] = data.qpos[0]
+    # Measured: 0.484 and 0.490 m; 0.383 m if tilts of faces are those to the horizontal.
+    assert went[surface] == pytest.approx(went[Plane(slope=slope, uphill=math.pi)], rel=0.05)
+
+
 def test_spheres_hold_all_points_of_their_tiles() -> None:
     """Tiles whose sphere is above the sand press nothing down, so no point may be outside it."""
     model = mujoco.MjModel.from_xml_string(MODEL.format(geom=BALL, bed=5.0))
