@@ -26,7 +26,7 @@ AHEAD = 1.5
 """How far ahead of a steep face sand is evaluated [cells]; chosen: past what it pressed down."""
 
 STEEP = 0.7
-"""Sine of the tilt to the sand from which a face looks ahead and presses nothing down. Chosen."""
+"""Sine of the tilt from which a face looks ahead and presses nothing down; chosen: 45 degrees."""
 
 state_length = compiled(state_size)  # `state_size` for kernels
 
