@@ -103,7 +103,7 @@ def place(
         if not floors or cut or any(sand.surface for sand in sands):
             raise InputError(
                 "rigid needs a floor in the model, level sand, and a robot that stands on it: "
-                "leave surface and dunes out, or rigid"
+                "omit surface and dunes, or rigid"
             )
         solid = [floor for floor in floors if floor.contype or floor.conaffinity] or floors
         highest = max(solid, key=lambda floor: bare.geom(floor.name).pos[2])

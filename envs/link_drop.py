@@ -81,7 +81,7 @@ class LinkDrop(Task):
                     f"{name} must be (low, high), positive and in this order, not {(low, high)}"
                 )
         if self.rigid is not None:
-            raise InputError("LinkDrop drops a link into sand: leave rigid out")
+            raise InputError("LinkDrop drops a link into sand: omit rigid")
 
     @cached_property
     def action_space(self) -> Box:

@@ -128,7 +128,7 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         elif isinstance(seed, (list, tuple, np.ndarray)):
             seeds = list(seed)
         else:
-            raise InputError(f"a seed is a whole number, or a list of them, not {kind_of(seed)}")
+            raise InputError(f"a seed must be an integer, or a list of them, not {kind_of(seed)}")
         if len(seeds) != self.num_envs:
             raise InputError(f"{self.num_envs} simulations need as many seeds, not {len(seeds)}")
         chosen = np.ones(self.num_envs, bool) if mask is None else np.asarray(mask)

@@ -116,9 +116,10 @@ class UnknownNameError(GranularError, KeyError):
 class UnknownArgumentError(GranularError, TypeError):
     """An unknown keyword argument of a `call`; the message lists the valid ones."""
 
-    def __init__(self, call: str, name: str, known: Iterable[str]) -> None:
-        rest = _known_ones(name, tuple(known))
-        super().__init__(f"{call} has no argument {shown(name)}{rest}")
+    def __init__(self, call: str, name: str | None = None, known: Iterable[str] = ()) -> None:
+        if name is not None:  # Gymnasium raises a TypeError again, from a message alone
+            call += f" has no argument {shown(name)}{_known_ones(name, tuple(known))}"
+        super().__init__(call)
 
 
 class UnstableError(GranularError, ArithmeticError):

@@ -55,7 +55,7 @@ class Film:
         height: height of the picture [pixels]; even.
         fps: frames per second.
         seconds: duration of the film of the impact, from release to the stop [s]; the rest of the
-            run, if any, takes as long again.
+            run, if any, takes as long again; of a policy at most this much.
         hold: duration of the last frame [s].
     """
 

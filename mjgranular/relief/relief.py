@@ -86,7 +86,7 @@ class Relief(Surface):
         return self.base.shape(model)
 
     def lift(self, model: mujoco.MjModel) -> Mapping[str, np.ndarray]:
-        raise InputError("a surface that remembers cannot be moved: leave memory or tunable out")
+        raise InputError("a surface that remembers cannot be moved: omit memory or tunable")
 
     def tilt(self, model: mujoco.MjModel) -> float:
         return self.base.tilt(model)

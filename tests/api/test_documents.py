@@ -11,6 +11,7 @@ from types import ModuleType
 import pytest
 
 import mjgranular
+from mjgranular import errors
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -172,6 +173,8 @@ def test_notebooks_are_pages(site):
 def test_links_in_the_pages_lead_somewhere(page):
     text = page.read_text()
     films = re.findall(r'(?:src|poster)="([^"]+)"', text)
+    links = re.findall(r'href="(?!https?:|#)([^"#]+)', text)  # HTML, to pages of the site
+    films += [target.replace(".html", ".md") for target in links]
     for target in films + re.findall(r"\]\((?!https?:|#)([^)#\s]+)", text):
         assert (page.parent / target).exists(), target
 
@@ -184,4 +187,5 @@ def test_the_reference_has_all_public_names():
         for name, thing in vars(mjgranular).items()
         if not name.startswith("_") and not isinstance(thing, ModuleType)
     }
+    public |= {name for name in vars(errors) if name.endswith(("Error", "Warning"))}
     assert public <= listed, public - listed

@@ -631,7 +631,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "text for a seed": (
         lambda: batch("LinkDrop").reset(seed="1"),
-        "a seed is a whole number, or a list of them, not '1'",
+        "a seed must be an integer, or a list of them, not '1'",
     ),
     "text for a speed": (lambda: Impact(speed="10"), "speed must be finite ... '10'"),
     "number for a drop": (lambda: run_impact(10), "run_impact takes an Impact, not 10"),

@@ -22,6 +22,7 @@ from mjgranular.envs.gaits import gait, gaits
 from mjgranular.envs.ground import RIGID
 from mjgranular.envs.gym_robots import Hopper
 from mjgranular.envs.ids import id_of, register_task
+from mjgranular.errors import UnknownArgumentError
 from mjgranular.law.validity import findings_of, found_at
 from mjgranular.models import Link
 
@@ -318,6 +319,16 @@ def test_the_law_is_said_to_hold_or_not():
     assert deep.reset(seed=0)[1]["sand/valid"] is False
     tilted = SandEnv("Hopper", surface=Plane(slope=0.3))
     assert tilted.reset(seed=0)[1]["sand/valid"] is False
+
+
+def test_an_unknown_argument_of_a_registered_environment_on_sand_is_named():
+    # Gymnasium raises a TypeError of an environment again, with another message.
+    gym.register("HopperOnSand-v0", lambda **options: on_sand("Hopper-v5", **options).unwrapped)
+    try:
+        with pytest.raises(UnknownArgumentError, match=r"no argument 'mediun'; .*mean medium\?"):
+            gym.make("HopperOnSand-v0", mediun="play_sand")
+    finally:
+        del gym.registry["HopperOnSand-v0"]
 
 
 def test_wrong_input_is_told():

@@ -23,9 +23,14 @@ from mjgranular import (
     UnstableError,
     media,
 )
+from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.memory import WORKSPACE, table_at
 from mjgranular.models import Link
 from mjgranular.sand.prepare import prepare
 from mjgranular.scheme import Implicit
+from mjgranular.scheme.evaluation import evaluate
+from mjgranular.scheme.forces import FRESH, RESPOND
+from mjgranular.scheme.workspace import workspace_at
 
 G = 9.81  # of the models here [m/s^2]
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
@@ -467,6 +472,46 @@ def surprise(model, steps=40, **options):
     assert account(sand, data)["steps"] > steps / 2
     assert account(sand, data)["worst"] <= 1e-8
     return worst
+
+
+@compiled
+def balance_at(address, velocity, residual, jacobian):
+    """Copy residual and Jacobian of the last step's balance, at a velocity and a softness of 1."""
+    table = table_at(address)
+    w = workspace_at(table[WORKSPACE])
+    for j in range(w.nv):
+        w.velocity[j] = velocity[j]
+    evaluate(table, w, RESPOND, 1.0, FRESH, 1.0)
+    for j in range(w.nv):
+        residual[j] = w.residual[j]
+        for k in range(w.nv):
+            jacobian[j, k] = w.jacobian[j, k]
+
+
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+@pytest.mark.parametrize("name", ["depth_velocity", "rft3d_inertia"])
+def test_the_jacobian_is_the_derivative_of_the_residual(name, integrator):
+    """R' of docs/scheme.md by central differences; that MuJoCo agrees with R is tested below."""
+    model = tree(integrator, **BOUND["coupled"] | {"joint": DAMPED})
+    sand, data = sand_of(name, model), mujoco.MjData(model)
+    data.qvel[:] = start = np.random.default_rng(0).normal(size=model.nv)
+    mujoco.mj_step1(model, data)
+    sand.apply(data)
+
+    def balance(velocity):
+        found = np.zeros(model.nv), np.zeros((model.nv, model.nv))
+        balance_at(sand.table_of(data), velocity, *found)
+        return found
+
+    _, jacobian = balance(start)
+    by_differences = [
+        (balance(start + change)[0] - balance(start - change)[0]) / 2e-6
+        for change in 1e-6 * np.eye(model.nv)
+    ]
+    inertia = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, inertia)
+    assert abs(jacobian - inertia).max() > 1e-3  # the sand's part counts
+    assert np.transpose(by_differences) == pytest.approx(jacobian, abs=1e-9)  # measured: 6e-11
 
 
 @pytest.mark.parametrize("integrator", INTEGRATORS)

@@ -650,3 +650,22 @@ def test_a_custom_surface_is_checked(changed, said):
 def test_a_custom_surface_without_lift_cannot_be_tuned():
     with pytest.raises(InputError, match=r"^Steep cannot be raised: give it a method lift$"):
         Steep().lift(scene(""))
+
+
+@pytest.mark.parametrize(
+    ("degrees", "memory", "way"), [(20, None, 0.0), (30, None, 0.62), (25, True, 0.10)]
+)
+def test_how_far_a_flat_box_slides_down_a_slope(degrees, memory, way):
+    """As docs/surfaces.md says [m]."""
+    slope = math.radians(degrees)
+    model = mujoco.MjModel.from_xml_string(
+        f"""<mujoco><worldbody><body pos="{-0.025 * math.sin(slope)} 0 {0.025 * math.cos(slope)}"
+        euler="0 {-degrees} 0"><freejoint/><geom type="box" size=".1 .1 .025" mass="5"/></body>
+        </worldbody></mujoco>"""
+    )
+    sand, data = Sand(model, surface=Plane(slope=slope), memory=memory), mujoco.MjData(model)
+    start = data.qpos[:3].copy()
+    while data.time < 3.0:
+        sand.step(data)
+    assert np.linalg.norm(data.qpos[:3] - start) == pytest.approx(way, abs=0.005)
+    assert abs(data.qvel).max() < 1e-9
