@@ -15,6 +15,8 @@ from mjgranular.warp.motions import SLOT_DTYPE
 _HAIR = 1e-5
 """Shift of inertial frames, relative to the body's size; chosen: MuJoCo takes 1e-6 m as zero."""
 
+_GEOMS = ("geom_contype", "geom_conaffinity", "geom_size", "geom_pos", "geom_quat")
+
 
 def slots_of(model: mujoco.MjModel, elements: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """List the bodies in the sand (`SLOT_DTYPE`) and the degrees of freedom that move each.
@@ -80,6 +82,12 @@ def check_model(model: mujoco.MjModel, chain: np.ndarray, m: Any) -> None:
             raise InputError(
                 f"attach: this sand was made for another model ({name} {mine} there, {given} here)"
             )
+    for name in _GEOMS:
+        if not np.allclose(getattr(model, name), getattr(m, name).numpy()):
+            raise InputError(
+                f"attach: {name} of the model is not that of this one of MuJoCo Warp: make "
+                "WarpSand first, and then put_model of the same model"
+            )
     if m.opt.integrator != mujoco.mjtIntegrator.mjINT_DISCRETE:
         name = mujoco.mjtIntegrator(int(m.opt.integrator)).name.removeprefix("mjINT_").lower()
         raise InputError(
@@ -87,11 +95,12 @@ def check_model(model: mujoco.MjModel, chain: np.ndarray, m: Any) -> None:
             "model.opt.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE before put_model"
         )
     flags, bit = int(m.opt.disableflags), mujoco.mjtDisableBit
-    if flags & bit.mjDSBL_ACTUATION:
-        raise InputError(
-            "with actuation disabled MuJoCo Warp does not ask for forces: leave the flag as it is; "
-            "a model without actuators needs none"
-        )
+    for flag, what in ((bit.mjDSBL_ACTUATION, "actuation"), (bit.mjDSBL_SENSOR, "sensors")):
+        if flags & flag:
+            raise InputError(
+                f"with {what} disabled MuJoCo Warp does not call the sand: leave the flag as it "
+                "is; a model without any needs none"
+            )
     if flags & bit.mjDSBL_SPRING and flags & bit.mjDSBL_DAMPER:
         raise InputError(
             "with springs and dampers disabled MuJoCo Warp leaves out all damping, that of sand "
