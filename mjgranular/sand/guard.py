@@ -20,6 +20,7 @@ from mjgranular.scheme.scheme import BAD_STATE, FINE
 
 _RECORD_DTYPE = np.dtype([("model", np.int64), ("data", np.int64), ("state", np.int64)])
 _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
+_TIME = int(mujoco.mjtState.mjSTATE_TIME)
 
 _records = records(_RECORD_DTYPE)
 
@@ -93,7 +94,12 @@ def finish_step(address):
     table = table_at(address)
     wrenches.withdraw_wrenches(table)
     table[memory.OFF] = 1
-    return BAD_STATE if wrenches.is_bad(table) else FINE
+    if wrenches.is_bad(table):
+        return BAD_STATE
+    if table[memory.UPDATE] != 0:  # a reset after a first step takes time back too
+        record = _records(table[memory.SNAPSHOT], 1)[0]
+        get_state(record.model, record.data, table[memory.STATE] + 8 * TIME, _TIME)
+    return FINE
 
 
 @compiled
