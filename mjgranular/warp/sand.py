@@ -137,7 +137,7 @@ class WarpSand:
 
         law_struct = translate.struct_of_dtype(type(self.law).__name__, self._scene["law"].dtype)
         self._law_struct = law_struct
-        self._laws = to_device(self._scene["law"], law_struct, device)
+        self._laws = to_device(np.repeat(self._scene["law"], n), law_struct, device)
         record = self._scene["surface"]
         if isinstance(self.surface, Relief) and self._footprint is not None:
             self._memory = WarpMemory(self.surface, self._footprint, record, model, n, device)
@@ -190,7 +190,10 @@ class WarpSand:
             )
         found = [get_medium(medium) for medium in media]
         records = [get_law(self.law.name, medium).parameters(medium) for medium in found]
-        self._laws = to_device(np.concatenate(records), self._law_struct, self._device)
+        each = np.concatenate(records * (self._size[0] // len(records)))
+        wp.copy(
+            self._laws, to_device(each, self._law_struct, self._device)
+        )  # in captured graphs too
 
     def relief(self, d: Any, world: int, middle: tuple[float, float] | None = None) -> Heights:
         """Return the stored heights of a world's sand over its surface, as `Sand.relief` does.

@@ -521,6 +521,26 @@ def test_sand_has_no_strength_with_gravity_disabled(warp):
 
 
 @pytest.mark.filterwarnings("ignore::mjgranular.GranularWarning")
+def test_a_captured_graph_follows_media_that_are_set_later(warp):
+    import warp as wp
+
+    model, found = scene(warp), []
+    for captured in (False, True):
+        sand = warp.WarpSand(model, **{**IN_SAND, "medium": "glass_beads"}, law="rft2d")
+        m, d = put(model, np.tile(model.qpos0, (2, 1)), np.zeros((2, model.nv)), sand)
+        mjw.step(m, d)
+        with wp.ScopedCapture(device="cpu") as capture:
+            mjw.step(m, d)
+        for media in (["glass_beads", "poppy_seed_close"], "poppy_seed_loose"):
+            sand.set_media(media)
+            for _ in range(60):
+                wp.capture_launch(capture.graph) if captured else mjw.step(m, d)
+        found.append(d.qpos.numpy())
+    assert abs(found[0][1, 2] - found[0][0, 2]) > 1e-5
+    np.testing.assert_array_equal(found[0][:, :3], found[1][:, :3])
+
+
+@pytest.mark.filterwarnings("ignore::mjgranular.GranularWarning")
 def test_what_mujoco_warp_refuses_is_said_before(warp):
     spec = mujoco.MjSpec.from_string(SCENE)
     mjgranular.add_sand(spec, medium="quikrete_medium", bodies="box")
