@@ -14,13 +14,13 @@ from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.engine import get_state
 from mjgranular.kernel.intrinsics import call_step
 from mjgranular.kernel.memory import floats, records, table_at
+from mjgranular.kernel.records import options_at
 from mjgranular.relief.grid import TIME
 from mjgranular.scheme import wrenches
 from mjgranular.scheme.scheme import BAD_STATE, FINE
 
 _RECORD_DTYPE = np.dtype([("model", np.int64), ("data", np.int64), ("state", np.int64)])
 _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
-_TIME = int(mujoco.mjtState.mjSTATE_TIME)
 
 _records = records(_RECORD_DTYPE)
 
@@ -97,8 +97,7 @@ def finish_step(address):
     if wrenches.is_bad(table):
         return BAD_STATE
     if table[memory.UPDATE] != 0:  # a reset after a first step takes time back too
-        record = _records(table[memory.SNAPSHOT], 1)[0]
-        get_state(record.model, record.data, table[memory.STATE] + 8 * TIME, _TIME)
+        floats(table[memory.STATE], table[memory.STATE_SIZE])[TIME] += options_at(table).timestep
     return FINE
 
 

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 import warp as wp
 
-from mjgranular._util.checks import check_count, is_finite
+from mjgranular._util.checks import check_count, check_kind, is_finite
 from mjgranular.errors import InputError, shown
 from mjgranular.kernel.records import NO_GRAVITY
 from mjgranular.law import make_scene
@@ -80,13 +80,11 @@ class WarpSand:
         softness: float = SOFTNESS,
         **fields: Unpack[SandFields],
     ) -> None:
+        check_kind(model, mujoco.MjModel, "WarpSand")
         spec = combined(spec, fields)
         check_count("WarpSand: corrections", corrections, least=0)
         if not (is_finite(softness) and softness >= 0):
-            raise InputError(
-                f"WarpSand: softness is a speed [m/s], not negative; {SOFTNESS} is the default, "
-                f"not {shown(softness)}"
-            )
+            raise InputError(f"WarpSand: softness must be at least 0 m/s, not {shown(softness)}")
         if not isinstance(get_scheme(spec.scheme), (Auto, Implicit)):
             raise InputError(
                 "in MuJoCo Warp forces always belong to the velocity at the step's end: leave "
@@ -231,7 +229,6 @@ class WarpSand:
         return self._memory.volumes()
 
     def _tables_on(self, device: Any) -> Any:
-
         def integers(values: Any) -> wp.array:
             return wp.array(np.asarray(values, np.int32), dtype=wp.int32, device=device)
 

@@ -477,11 +477,15 @@ IN_SAND = {"medium": "quikrete_medium", "bodies": "box", "instead_of": ("dunes",
 @pytest.mark.filterwarnings("ignore::mjgranular.GranularWarning")
 def test_models_and_data_must_be_those_of_the_sand(warp):
     """With data of more worlds memory was overwritten; with the others the sand was wrong."""
+    with pytest.raises(InputError, match=r"WarpSand takes an MjModel, not 'robot\.xml'"):
+        warp.WarpSand("robot.xml")
     model = scene(warp)
     early = mjw.put_model(model)
     sand = warp.WarpSand(model, **IN_SAND)
     d = mjw.put_data(model, mujoco.MjData(model), nworld=2, nconmax=16, njmax=64)
-    with pytest.raises(InputError, match=r"geom_contype.*make WarpSand first, and then put_model"):
+    with pytest.raises(
+        InputError, match=r"geom_contype of which differs: make WarpSand first, and then put_model"
+    ):
         sand.attach(early, d)
     m = mjw.put_model(model)
     model.geom_size[model.body("box").geomadr] *= 2
@@ -498,9 +502,14 @@ def test_models_and_data_must_be_those_of_the_sand(warp):
     with pytest.raises(InputError, match=r"attached to another mujoco_warp\.Data"):
         mjw.step(m, other)
     mjw.step(m, d)
-    for flag, words in (("ACTUATION", "actuation disabled"), ("SENSOR", "sensors disabled")):
-        model.opt.disableflags = int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{flag}"))
-        with pytest.raises(InputError, match=f"with {words} MuJoCo Warp does not call the sand"):
+    bit = mujoco.mjtDisableBit
+    for flags, words in (
+        (bit.mjDSBL_ACTUATION, "actuation"),
+        (bit.mjDSBL_SENSOR, "sensors"),
+        (bit.mjDSBL_SPRING | bit.mjDSBL_DAMPER, "springs and dampers"),
+    ):
+        model.opt.disableflags = int(flags)
+        with pytest.raises(InputError, match=f"with {words} disabled MuJoCo Warp omits sand"):
             warp.WarpSand(model, **IN_SAND).attach(mjw.put_model(model), d)
 
 
