@@ -2,15 +2,14 @@
 
 python scripts/tune.py mjgranular/ChainCrawl-v0 --trials 16 --total-steps 100000 --out tuned
 
-The study is kept in DIR/study.db: the same command adds trials to it, and several processes may
-work on it at once. Change `suggest` for other settings and ranges.
+The study is in DIR/study.db: the same command adds trials, also at once. `suggest` has the ranges.
 """
 
 import argparse
 from pathlib import Path
 from typing import Any
 
-from mjgranular._util.checks import require
+from mjgranular._util.checks import check_count, require
 from mjgranular.errors import GranularError, InputError, UnstableError
 from mjgranular.learn import change, find_settings
 from mjgranular.learn.evaluate import evaluate
@@ -18,8 +17,7 @@ from mjgranular.learn.policies import load_policy
 from mjgranular.learn.run import begin_run
 from mjgranular.learn.train import train
 
-# Not seeds of training or of `mjgranular evaluate`: the best trial is evaluated on others.
-SEEDS = 20_000
+SEEDS = 20_000  # not those of training or of `mjgranular evaluate`
 
 
 def suggest(trial: Any) -> list[str]:
@@ -41,9 +39,8 @@ def run_trial(trial: Any, options: argparse.Namespace) -> float:
     with run.locked():
         if train(run).stopped_by is not None:
             raise KeyboardInterrupt
-    policy = load_policy(run.path)
-    score = evaluate(run.name, lambda env: policy, options.env, run.arguments, first_seed=SEEDS)
-    return score.returned.mean
+    policy, env = load_policy(run.path), options.env
+    return evaluate(run.name, lambda _: policy, env, run.arguments, first_seed=SEEDS).returned.mean
 
 
 def main() -> None:
@@ -54,10 +51,11 @@ def main() -> None:
     parser.add_argument("--total-steps", type=int, default=100_000, help="of each trial")
     parser.add_argument("--set", nargs="*", default=[], help="fixed settings, as for train --set")
     parser.add_argument("--seed", type=int, default=0, help="of all trials and the sampler")
-    parser.add_argument("--out", type=Path, default=Path("tuned"))
+    parser.add_argument("--out", type=Path, default="tuned")
     options = parser.parse_args()
     name = f"{options.env} {options.total_steps} steps, seed {options.seed} {options.set}"
     try:
+        check_count("--trials", options.trials)
         optuna = require("optuna", extra="tune", purpose="Tuning")
         options.settings = change(find_settings(options.env, algorithm="ppo"), options.set)
         options.out.mkdir(parents=True, exist_ok=True)
@@ -68,8 +66,11 @@ def main() -> None:
             storage=storage, study_name=name, direction="maximize", load_if_exists=True
         )
         study.optimize(lambda trial: run_trial(trial, options), options.trials, catch=UnstableError)
-    except (GranularError, OSError) as error:
-        raise SystemExit(f"error: {error}") from None
+        if not study.get_trials(states=[optuna.trial.TrialState.COMPLETE]):
+            raise InputError("no trial was finished: all were unstable")
+    except (GranularError, OSError, KeyboardInterrupt) as error:
+        reason = str(error) or f"interrupted; the same command adds to {options.out}"
+        raise SystemExit(f"error: {reason}") from None
     best = study.best_trial
     print(f"best of {len(study.trials)}: trial-{best.number}, mean return {best.value:.4g}")
     print(f"--set {best.user_attrs['set']}")

@@ -14,6 +14,7 @@ from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.engine import get_state
 from mjgranular.kernel.intrinsics import call_step
 from mjgranular.kernel.memory import floats, records, table_at
+from mjgranular.kernel.records import options_at
 from mjgranular.relief.grid import TIME
 from mjgranular.scheme import wrenches
 from mjgranular.scheme.scheme import BAD_STATE, FINE
@@ -93,7 +94,11 @@ def finish_step(address):
     table = table_at(address)
     wrenches.withdraw_wrenches(table)
     table[memory.OFF] = 1
-    return BAD_STATE if wrenches.is_bad(table) else FINE
+    if wrenches.is_bad(table):
+        return BAD_STATE
+    if table[memory.UPDATE] != 0:  # a reset after a first step takes time back too
+        floats(table[memory.STATE], table[memory.STATE_SIZE])[TIME] += options_at(table).timestep
+    return FINE
 
 
 @compiled

@@ -475,6 +475,7 @@ class Sand:
             )
         applied = data.xfrc_applied.copy()
         binding.snapshot.restore(model, data)
+        binding.state[TIME : TIME + 1] = time  # no reset
         if not own:
             data.xfrc_applied[:] = applied
         return UnstableError(

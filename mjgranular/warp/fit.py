@@ -15,6 +15,8 @@ from mjgranular.warp.motions import SLOT_DTYPE
 _HAIR = 1e-5
 """Shift of inertial frames, relative to the body's size; chosen: MuJoCo takes 1e-6 m as zero."""
 
+_SAME = ("nv", "nbody", "ngeom", "geom_contype", "geom_conaffinity", "geom_size", "geom_pos")
+
 
 def slots_of(model: mujoco.MjModel, elements: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """List the bodies in the sand (`SLOT_DTYPE`) and the degrees of freedom that move each.
@@ -74,11 +76,12 @@ def check_no_plugins(model: mujoco.MjModel) -> None:
 
 def check_model(model: mujoco.MjModel, chain: np.ndarray, m: Any) -> None:
     """Check that a MuJoCo Warp model belongs to this sand and can hold it."""
-    for name in ("nv", "nbody", "njnt", "ngeom"):
-        mine, given = getattr(model, name), getattr(m, name)
-        if mine != given:
+    for name in _SAME:
+        given = getattr(m, name)
+        if not np.allclose(getattr(model, name), given if name[0] == "n" else given.numpy()):
             raise InputError(
-                f"attach: this sand was made for another model ({name} {mine} there, {given} here)"
+                f"attach: this sand was made for another model, {name} of which differs: make "
+                "WarpSand first, and then put_model of the same model"
             )
     if m.opt.integrator != mujoco.mjtIntegrator.mjINT_DISCRETE:
         name = mujoco.mjtIntegrator(int(m.opt.integrator)).name.removeprefix("mjINT_").lower()
@@ -87,16 +90,11 @@ def check_model(model: mujoco.MjModel, chain: np.ndarray, m: Any) -> None:
             "model.opt.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE before put_model"
         )
     flags, bit = int(m.opt.disableflags), mujoco.mjtDisableBit
-    if flags & bit.mjDSBL_ACTUATION:
-        raise InputError(
-            "with actuation disabled MuJoCo Warp does not ask for forces: leave the flag as it is; "
-            "a model without actuators needs none"
-        )
-    if flags & bit.mjDSBL_SPRING and flags & bit.mjDSBL_DAMPER:
-        raise InputError(
-            "with springs and dampers disabled MuJoCo Warp leaves out all damping, that of sand "
-            "too: leave one of the two flags as it is"
-        )
+    passive = bit.mjDSBL_SPRING | bit.mjDSBL_DAMPER
+    bits = {"actuation": bit.mjDSBL_ACTUATION, "sensors": bit.mjDSBL_SENSOR}
+    for what, flag in (bits | {"springs and dampers": passive}).items():
+        if flags & flag == flag:
+            raise InputError(f"with {what} disabled MuJoCo Warp omits sand: enable them first")
     for dof in sorted(set(chain.tolist())):
         if model.M_rownnz[dof] < len(dofs_above(model, dof)):
             body = model.body(int(model.dof_bodyid[dof])).name or "1"

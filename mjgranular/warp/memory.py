@@ -71,7 +71,7 @@ class WarpMemory:
         over_nodes = (self._size[0], update.LANES)
         self._launch(update.restart, over_nodes, d.time, self._plain, self._work)
 
-    def update(self, m: Any, d: Any, height: wp.array, up: wp.vec3) -> None:
+    def update(self, gravity: wp.array, d: Any, height: wp.array, up: wp.vec3) -> None:
         """Press sand down under the bodies of each world, deposit rims, and let it flow.
 
         In each world the surface is raised by `height` [m] along `up`.
@@ -79,7 +79,7 @@ class WarpMemory:
         relief, work = self._plain, self._work
         (worlds, _, blocks), feet = self._size, work.count.shape[1]
         over_nodes = (worlds, update.LANES)
-        self._launch(update.begin, worlds, d.time, m.opt.gravity, relief, work)
+        self._launch(update.begin, worlds, d.time, gravity, relief, work)
         pressing = (self._leveled, self._skin, work, height, up, d.xpos, d.xmat)
         self._launch(self._press, over_nodes, *pressing)
         for kernel in (update.settle, update.edge, update.surround, update.heap):
@@ -87,7 +87,7 @@ class WarpMemory:
         self._launch(update.keep, (worlds, feet), relief, work)
         # Squares of one pass share no node.
         for first in np.ndindex(2, 2):
-            self._launch(self._flow, over_nodes, m.opt.gravity, self._leveled, work, *first)
+            self._launch(self._flow, over_nodes, gravity, self._leveled, work, *first)
         self._launch(update.sum_up, (worlds, blocks * blocks), relief, work)
 
     def volumes(self) -> dict[str, np.ndarray]:

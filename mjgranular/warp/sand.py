@@ -7,14 +7,16 @@ import mujoco
 import numpy as np
 import warp as wp
 
-from mjgranular._util.checks import check_count, is_finite
+from mjgranular._util.checks import check_count, check_kind, is_finite
 from mjgranular.errors import InputError, shown
+from mjgranular.kernel.records import NO_GRAVITY
 from mjgranular.law import make_scene
 from mjgranular.law.law import get_law
 from mjgranular.medium import Medium, get_medium
 from mjgranular.relief.footprint import fitting
 from mjgranular.relief.memory import Heights, as_memory
 from mjgranular.relief.relief import Relief, place_in_plane
+from mjgranular.sand.changes import Original
 from mjgranular.sand.prepare import choose_sand, remembering
 from mjgranular.sand.spec import SandFields, SandSpec, combined
 from mjgranular.scheme import Auto, Implicit, get_scheme
@@ -78,13 +80,11 @@ class WarpSand:
         softness: float = SOFTNESS,
         **fields: Unpack[SandFields],
     ) -> None:
+        check_kind(model, mujoco.MjModel, "WarpSand")
         spec = combined(spec, fields)
         check_count("WarpSand: corrections", corrections, least=0)
         if not (is_finite(softness) and softness >= 0):
-            raise InputError(
-                f"WarpSand: softness is a speed [m/s], not negative; {SOFTNESS} is the default, "
-                f"not {shown(softness)}"
-            )
+            raise InputError(f"WarpSand: softness must be at least 0 m/s, not {shown(softness)}")
         if not isinstance(get_scheme(spec.scheme), (Auto, Implicit)):
             raise InputError(
                 "in MuJoCo Warp forces always belong to the velocity at the step's end: leave "
@@ -94,6 +94,7 @@ class WarpSand:
         chosen = choose_sand(model, spec)
         self.law, self.medium, self.surface = chosen.law, chosen.medium, chosen.surface
         self._model, self._elements = model, chosen.elements
+        self._original = Original(model, chosen.geoms, self.surface.geoms(model))
         memory, self._footprint = as_memory(spec.memory), None
         if memory is not None:
             fits = fitting(model, chosen.geoms, memory)
@@ -123,6 +124,9 @@ class WarpSand:
             raise InputError(
                 "this sand is attached already; make another WarpSand for another model or data"
             )
+        if isinstance(getattr(m.callback.control, "__self__", None), WarpSand):
+            raise InputError("attach: another WarpSand acts in this model; call put_model again")
+        self._original.check_shapes(self._model)
         fit.check_model(self._model, self._chain, m)
         model, device = self._model, d.qvel.device
         self._cold = int(m.opt.disableflags) & int(mujoco.mjtDisableBit.mjDSBL_WARMSTART)
@@ -131,7 +135,7 @@ class WarpSand:
 
         law_struct = translate.struct_of_dtype(type(self.law).__name__, self._scene["law"].dtype)
         self._law_struct = law_struct
-        self._laws = to_device(self._scene["law"], law_struct, device)
+        self._laws = to_device(np.repeat(self._scene["law"], n), law_struct, device)
         record = self._scene["surface"]
         if isinstance(self.surface, Relief) and self._footprint is not None:
             self._memory = WarpMemory(self.surface, self._footprint, record, model, n, device)
@@ -165,7 +169,7 @@ class WarpSand:
         self._control_before, self._sensor_before = m.callback.control, m.callback.sensor
         m.callback.control, m.callback.sensor = self._on_control, self._on_sensor
         m.has_fluid = True  # else MuJoCo Warp ignores the damping
-        self._attached_to = m
+        self._attached_to, self._weightless = d, wp.zeros(1, dtype=wp.vec3, device=device)
 
     def set_media(self, media: Sequence[str | Medium]) -> None:
         """Give each world its own medium, or all of them one, with this sand's kind of law.
@@ -184,7 +188,10 @@ class WarpSand:
             )
         found = [get_medium(medium) for medium in media]
         records = [get_law(self.law.name, medium).parameters(medium) for medium in found]
-        self._laws = to_device(np.concatenate(records), self._law_struct, self._device)
+        each = np.concatenate(records * (self._size[0] // len(records)))
+        wp.copy(
+            self._laws, to_device(each, self._law_struct, self._device)
+        )  # in captured graphs too
 
     def relief(self, d: Any, world: int, middle: tuple[float, float] | None = None) -> Heights:
         """Return the stored heights of a world's sand over its surface, as `Sand.relief` does.
@@ -222,7 +229,6 @@ class WarpSand:
         return self._memory.volumes()
 
     def _tables_on(self, device: Any) -> Any:
-
         def integers(values: Any) -> wp.array:
             return wp.array(np.asarray(values, np.int32), dtype=wp.int32, device=device)
 
@@ -243,8 +249,13 @@ class WarpSand:
         if self._attached_to is None:
             raise InputError(f"{what}: attach the sand first, by sand.attach(m, d)")
 
+    def _gravity(self, m: Any) -> wp.array:
+        return self._weightless if int(m.opt.disableflags) & NO_GRAVITY else m.opt.gravity
+
     def _on_control(self, m: Any, d: Any) -> None:
         """Compute the damping of this step when MuJoCo Warp calls the control callback."""
+        if d is not self._attached_to:
+            raise InputError("this sand is attached to another mujoco_warp.Data: make one for each")
         if self._control_before is not None:
             self._control_before(m, d)
         if self._memory is not None:
@@ -277,7 +288,7 @@ class WarpSand:
         creeping = (timestep, m.opt.sleep_tolerance, m.dof_length, d.M, d.qvel, d.qacc)
         self._launch(damping.stop_creep, len(tables.roots), tables, state, *creeping)
         if self._memory is not None:
-            self._memory.update(m, d, self.height, self._up)
+            self._memory.update(self._gravity(m), d, self.height, self._up)
 
     def _resist_all(self, m: Any, d: Any, *, first: bool, last: bool) -> None:
         """Compute damping at the predicted velocities, its forces and its part of the metric."""
@@ -287,7 +298,7 @@ class WarpSand:
             self._size[1],
             *(tables, state, self._elements_there, self._laws, self._surface),
             *(first, last, d.time, self.strength, self.density, self.height),
-            *(self._up, self._softness, timestep, m.opt.gravity),
+            *(self._up, self._softness, timestep, self._gravity(m)),
             *(d.xpos, d.xmat, d.xipos, d.subtree_com, d.cvel, d.cdof, d.cdof_dot, d.qvel),
         )
         forces = (d.cdof, d.cvel, d.qfrc_passive)

@@ -134,12 +134,12 @@ def begin(
     for f in range(work.count.shape[1]):
         work.count[world, f] = 0
     g = wp.length(gravity[world % gravity.shape[0]])
-    passed *= wp.sqrt(g / surface.cell)
     if passed <= 0.0:
         return
+    passed *= wp.sqrt(g / surface.cell)
     work.since[world, 0] += passed
     work.since[world, 1] += passed
-    if work.since[world, 0] < PRESSED_AFTER:
+    if work.since[world, 0] > 0.0 and work.since[world, 0] < PRESSED_AFTER:
         return
     work.task[world] = PRESSES
     work.since[world, 0] = 0.0

@@ -80,6 +80,33 @@ def test_the_tuning_script(tmp_path):
     )
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("trials", "answer", "message"),
+    [
+        ("0", "0.0", "error: --trials must be at least 1, not 0\n"),
+        ("1", "stop()", "error: interrupted; the same command adds to tuned\n"),
+        ("1", "fail()", "error: no trial was finished: all were unstable\n"),
+    ],
+)
+def test_the_tuning_script_without_a_finished_trial(trials, answer, message, tmp_path):
+    pytest.importorskip("optuna", reason="the extra tune is not installed")
+    code = f"""import sys
+sys.path.insert(0, {str(ROOT / "scripts")!r})
+import tune
+def stop(): raise KeyboardInterrupt
+def fail(): raise tune.UnstableError("diverged")
+tune.run_trial = lambda trial, options: {answer}
+sys.argv = ["tune.py", "Pendulum-v1", "--trials", {trials!r}]
+tune.main()"""
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False, cwd=tmp_path
+    )
+    assert done.returncode == 1
+    assert done.stderr.endswith(message)
+    assert "in main" not in done.stderr
+
+
 def test_the_tuning_script_without_optuna_gives_the_install_line(tmp_path, monkeypatch):
     (tmp_path / "optuna.py").write_text("raise ModuleNotFoundError(name='optuna')")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=":")

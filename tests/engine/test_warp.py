@@ -471,6 +471,84 @@ def test_what_is_wrong_is_said(warp):
         sand.set_media(["quikrete_medium"] * 3)
 
 
+IN_SAND = {"medium": "quikrete_medium", "bodies": "box", "instead_of": ("dunes", "tray")}
+
+
+@pytest.mark.filterwarnings("ignore::mjgranular.GranularWarning")
+def test_models_and_data_must_be_those_of_the_sand(warp):
+    """With data of more worlds memory was overwritten; with the others the sand was wrong."""
+    with pytest.raises(InputError, match=r"WarpSand takes an MjModel, not 'robot\.xml'"):
+        warp.WarpSand("robot.xml")
+    model = scene(warp)
+    early = mjw.put_model(model)
+    sand = warp.WarpSand(model, **IN_SAND)
+    d = mjw.put_data(model, mujoco.MjData(model), nworld=2, nconmax=16, njmax=64)
+    with pytest.raises(
+        InputError, match=r"geom_contype of which differs: make WarpSand first, and then put_model"
+    ):
+        sand.attach(early, d)
+    m = mjw.put_model(model)
+    model.geom_size[model.body("box").geomadr] *= 2
+    with pytest.raises(InputError, match=r"geom_size of the model was changed after Sand was made"):
+        sand.attach(m, d)
+    with pytest.raises(InputError, match=r"geom_size.*put_model of the same model"):
+        warp.WarpSand(model, **IN_SAND).attach(m, d)
+    sand = warp.WarpSand(model, **IN_SAND)
+    m = mjw.put_model(model)
+    sand.attach(m, d)
+    with pytest.raises(InputError, match="another WarpSand acts in this model"):
+        warp.WarpSand(model, **IN_SAND).attach(m, d)
+    other = mjw.put_data(model, mujoco.MjData(model), nworld=3, nconmax=16, njmax=64)
+    with pytest.raises(InputError, match=r"attached to another mujoco_warp\.Data"):
+        mjw.step(m, other)
+    mjw.step(m, d)
+    bit = mujoco.mjtDisableBit
+    for flags, words in (
+        (bit.mjDSBL_ACTUATION, "actuation"),
+        (bit.mjDSBL_SENSOR, "sensors"),
+        (bit.mjDSBL_SPRING | bit.mjDSBL_DAMPER, "springs and dampers"),
+    ):
+        model.opt.disableflags = int(flags)
+        with pytest.raises(InputError, match=f"with {words} disabled MuJoCo Warp omits sand"):
+            warp.WarpSand(model, **IN_SAND).attach(mjw.put_model(model), d)
+
+
+@pytest.mark.filterwarnings("ignore::mjgranular.GranularWarning")
+def test_sand_has_no_strength_with_gravity_disabled(warp):
+    model = scene(warp)
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
+    put_in = {**IN_SAND, "law": "rft3d_dynamic added=0 grain=1e-3"}
+    sand, here = warp.WarpSand(model, **put_in), Sand(model, **put_in)
+    data = mujoco.MjData(model)
+    data.qvel[2] = -1.0
+    m, d = put(model, data.qpos[None], data.qvel[None], sand)
+    for _ in range(50):
+        mjw.step(m, d)
+        here.step(data)
+    assert data.qpos[2] < 0.04
+    np.testing.assert_allclose(d.qpos.numpy()[0, :3], data.qpos[:3], atol=1e-4)
+
+
+@pytest.mark.filterwarnings("ignore::mjgranular.GranularWarning")
+def test_a_captured_graph_follows_media_that_are_set_later(warp):
+    import warp as wp
+
+    model, found = scene(warp), []
+    for captured in (False, True):
+        sand = warp.WarpSand(model, **{**IN_SAND, "medium": "glass_beads"}, law="rft2d")
+        m, d = put(model, np.tile(model.qpos0, (2, 1)), np.zeros((2, model.nv)), sand)
+        mjw.step(m, d)
+        with wp.ScopedCapture(device="cpu") as capture:
+            mjw.step(m, d)
+        for media in (["glass_beads", "poppy_seed_close"], "poppy_seed_loose"):
+            sand.set_media(media)
+            for _ in range(60):
+                wp.capture_launch(capture.graph) if captured else mjw.step(m, d)
+        found.append(d.qpos.numpy())
+    assert abs(found[0][1, 2] - found[0][0, 2]) > 1e-5
+    np.testing.assert_array_equal(found[0][:, :3], found[1][:, :3])
+
+
 @pytest.mark.filterwarnings("ignore::mjgranular.GranularWarning")
 def test_what_mujoco_warp_refuses_is_said_before(warp):
     spec = mujoco.MjSpec.from_string(SCENE)

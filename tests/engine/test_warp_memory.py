@@ -224,6 +224,20 @@ def test_forward_changes_nothing(warp):
     np.testing.assert_allclose(books["pressed"], right["pressed"], rtol=1e-3)
 
 
+def test_without_gravity_prints_are_pressed(warp):
+    worlds = Worlds(warp, count=1)
+    worlds.m.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
+    worlds.on_processor.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
+    worlds.put(0, qpos=worlds.raised(-0.03))
+    worlds.data.qpos[:] = worlds.raised(-0.03)
+    worlds.step(40, both=True)
+    right = worlds.on_processor.relief(worlds.data, (0.0, 0.0)).height
+    assert right.min() < -0.01
+    found = worlds.heights()
+    assert found.min() == pytest.approx(right.min(), abs=1e-3)
+    assert (abs(found - right) > 2e-3).sum() < 0.1 * (right < -2e-3).sum()
+
+
 def test_what_cannot_be_is_told(warp):
     worlds = Worlds(warp, count=2)
     with pytest.raises(InputError, match=r"there are 2 worlds, 0 to 1, not 2"):

@@ -438,6 +438,19 @@ def test_reset_and_release_forget() -> None:
     assert not sand.relief(data).height.any()
 
 
+def test_reset_after_one_step_forgets() -> None:
+    sand, data = dropped()
+    sand.model.opt.timestep = 0.02
+    data.qpos[2] = -0.01
+    sand.step(data)
+    assert sand.relief(data).height.min() < -0.005
+    mujoco.mj_resetData(sand.model, data)
+    assert not sand.relief(data).height.any()
+    data.qpos[2] = 0.06
+    sand.step(data)
+    assert not sand.relief(data).height.any()
+
+
 def test_memory_is_saved_and_restored_and_bad_numbers_change_nothing() -> None:
     sand, data = dropped()
     run(sand, data, 150)
