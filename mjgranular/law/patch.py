@@ -41,8 +41,8 @@ def leading_part(c, a, b):
     width and of its square. A corner is a triangle, with its centroid at a third of its legs.
 
     With the depths for c, a and b it is the immersed part. Else c is the normal velocity v.n at the
-    facet's middle, and a its rise along the first half edge, v.spread[0] + n.(w x edges[0]) for a
-    facet that turns with w. The centroid, s and t, is 0 if the share is 0 or 1.
+    facet's middle, and a its rise along the first half edge, v.spread[0]; that v changes along it,
+    as on a wheel, is neglected. The centroid, s and t, is 0 if the share is 0 or 1.
     """
     reach = abs(a) + abs(b)
     if c <= -reach:
