@@ -80,7 +80,7 @@ def test_there_are_three_policies_for_each_of_five_robots_and_some_that_follow_c
     robots = sorted(name.partition("-v0/")[0] for name in SHIPPED)
     three = ["ChainSwim", "ChainCrawl", "Hexapod", "Hopper", "Ant"]
     assert robots == sorted(
-        [*3 * three, *3 * ["Go1Velocity"], *2 * ["Go2Velocity"], *2 * ["G1Velocity"]]
+        [*3 * three, *3 * ["Go1Velocity"], *2 * ["Go2Velocity"], "G1Velocity"]
     )
 
 
@@ -161,15 +161,8 @@ def test_the_second_go2_keeps_its_trunk_out_of_weak_sand():
 
 
 @pytest.mark.usefixtures("robots")
-def test_a_robot_on_two_legs_gets_ahead_without_a_fall():
-    policy = load_policy("G1Velocity-v0/ppo-8")
-    env = SandEnv(StraightG1(command_x=(0.5, 0.5), push_scale=0.0, history=4))
-    assert 0.2 < walk(policy, env, 250)[0] < 0.6
-
-
-@pytest.mark.usefixtures("robots")
 @pytest.mark.parametrize("medium", ["quikrete_medium", "yuma_sand"])
-def test_the_second_robot_on_two_legs_walks_at_once_in_weak_sand(medium):
+def test_a_robot_on_two_legs_walks_at_once_in_weak_sand(medium):
     policy = load_policy("G1Velocity-v0/ppo-12")
     weak = {"strength": (0.5, 0.5) if medium == "quikrete_medium" else (1.0, 1.0)}
     still = {"command_x": (0.5, 0.5), "command_yaw": (0.0, 0.0), "push_scale": 0.0}
