@@ -189,7 +189,7 @@ _LEVEL = 1e-3  # vertical component of an axis up to which it counts as level
 
 _STRONGEST = 100.0
 """Gravity [m/s^2]. The Sun's planets have up to 25; in centimeters it is 981."""
-_WATER = 1000.0  # density of the densest fluid that may be meant [kg/m^3]; swimmers have 4000
+_BRINE = 1300.0  # density of the densest fluid that may be meant [kg/m^3]; swimmers have 4000
 
 _OF_SAND = (LinkLaw, DistributedLinkLaw, RftLaw, DepthVelocityLaw)
 """Laws known to be of sand: a custom law may be of mud, or of a lake."""
@@ -252,7 +252,7 @@ def gravity(case: Case) -> Iterator[str]:
 
 def fluid(case: Case) -> Iterator[str]:
     """Check that what swims in sand does not swim in the fluid of its model as well."""
-    if case.model.opt.density > _WATER:
+    if case.model.opt.density > _BRINE:
         yield (
             f"a fluid of {case.model.opt.density:g} kg/m^3 fills the world, and resists in sand "
             "too: set opt.density and opt.viscosity to 0"

@@ -25,7 +25,7 @@ class Original:
 
     def __init__(self, model: mujoco.MjModel, geoms: Sequence[int], places: Sequence[int]) -> None:
         self._met = list(geoms)
-        every = sorted({*geoms, *places})
+        self.geoms = every = sorted({*geoms, *places})
         bodies = {int(model.geom_bodyid[geom]) for geom in geoms}
         inner = {body for body in bodies if model.body_parentid[body] != 0}
         inner |= {int(model.geom_bodyid[geom]) for geom in places}

@@ -96,8 +96,9 @@ def finish_step(address):
     table[memory.OFF] = 1
     if wrenches.is_bad(table):
         return BAD_STATE
-    if table[memory.UPDATE] != 0:  # a reset after a first step takes time back too
-        floats(table[memory.STATE], table[memory.STATE_SIZE])[TIME] += options_at(table).timestep
+    if table[memory.UPDATE] != 0:  # a reset after a first step takes time back too; rounding not
+        state = floats(table[memory.STATE], table[memory.STATE_SIZE])
+        state[TIME] += 0.5 * options_at(table).timestep
     return FINE
 
 

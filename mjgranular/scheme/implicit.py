@@ -52,8 +52,8 @@ from mjgranular.scheme.workspace import (
 )
 from mjgranular.scheme.wrenches import add_wrenches, find_bad_wrench, withdraw_wrenches
 
-# Least speed that each joint adds to the momentum at hand, also where constraints alone load it
-# [m/s, rad/s]. Chosen: gravity adds 100 times as much in a step.
+# The momentum at hand is at least that of this speed in all joints, also where constraints alone
+# load them [m/s, rad/s]. Chosen: gravity adds 100 times as much in a step.
 _LEAST = 1e-4
 
 

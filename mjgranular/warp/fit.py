@@ -16,6 +16,7 @@ _HAIR = 1e-5
 """Shift of inertial frames, relative to the body's size; chosen: MuJoCo takes 1e-6 m as zero."""
 
 _SAME = ("nv", "nbody", "ngeom", "geom_contype", "geom_conaffinity", "geom_size", "geom_pos")
+_SHAPES = ("geom_size", "geom_pos")  # those of other geoms may differ between worlds
 
 
 def slots_of(model: mujoco.MjModel, elements: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -74,14 +75,18 @@ def check_no_plugins(model: mujoco.MjModel) -> None:
             )
 
 
-def check_model(model: mujoco.MjModel, chain: np.ndarray, m: Any) -> None:
-    """Check that a MuJoCo Warp model belongs to this sand and can hold it."""
+def check_model(model: mujoco.MjModel, chain: np.ndarray, geoms: list[int], m: Any) -> None:
+    """Check that a MuJoCo Warp model belongs to this sand, made of `geoms`, and can hold it."""
     for name in _SAME:
-        given = getattr(m, name)
-        if not np.allclose(getattr(model, name), given if name[0] == "n" else given.numpy()):
+        mine, given = getattr(model, name), getattr(m, name)
+        given = given if name[0] == "n" else given.numpy()
+        if name in _SHAPES:
+            mine, given = mine[geoms], given[:, geoms]
+        if not np.allclose(mine, given):
             raise InputError(
                 f"attach: this sand was made for another model, {name} of which differs: make "
-                "WarpSand first, and then put_model of the same model"
+                "WarpSand first, and then put_model of the same model; what meets the sand has one "
+                "shape in all worlds"
             )
     if m.opt.integrator != mujoco.mjtIntegrator.mjINT_DISCRETE:
         name = mujoco.mjtIntegrator(int(m.opt.integrator)).name.removeprefix("mjINT_").lower()

@@ -127,7 +127,7 @@ class WarpSand:
         if isinstance(getattr(m.callback.control, "__self__", None), WarpSand):
             raise InputError("attach: another WarpSand acts in this model; call put_model again")
         self._original.check_shapes(self._model)
-        fit.check_model(self._model, self._chain, m)
+        fit.check_model(self._model, self._chain, self._original.geoms, m)
         model, device = self._model, d.qvel.device
         self._cold = int(m.opt.disableflags) & int(mujoco.mjtDisableBit.mjDSBL_WARMSTART)
         n, count = d.nworld, len(self._slots)

@@ -92,6 +92,8 @@ def test_what_people_use_is_no_slip():
             if name != "play_sand":
                 Sand(model, medium=name)
         Sand(model, surface=Plane(height=0.4))
+        model.opt.density = 1025.0  # on the bed of the sea
+        Sand(model)
 
 
 def robot(z, joint="<freejoint/>"):

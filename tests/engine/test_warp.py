@@ -514,6 +514,26 @@ def test_models_and_data_must_be_those_of_the_sand(warp):
 
 
 @pytest.mark.filterwarnings("ignore::mjgranular.GranularWarning")
+def test_only_geoms_in_the_sand_have_one_shape_in_all_worlds(warp):
+    """Worlds may differ in obstacles, goals and markers."""
+    import warp as wp
+
+    model = scene(warp)
+    d = mjw.put_data(model, mujoco.MjData(model), nworld=2, nconmax=16, njmax=64)
+    for body, name in (("rod", "geom_size"), ("rod", "geom_pos"), ("box", "geom_size")):
+        sand = warp.WarpSand(model, **IN_SAND)
+        m = mjw.put_model(model)
+        worlds = np.repeat(getattr(m, name).numpy(), 2, axis=0)
+        worlds[1, model.body(body).geomadr] += 0.01
+        setattr(m, name, wp.array(worlds, dtype=wp.vec3))
+        if body == "rod":
+            sand.attach(m, d)
+            continue
+        with pytest.raises(InputError, match="what meets the sand has one shape in all worlds"):
+            sand.attach(m, d)
+
+
+@pytest.mark.filterwarnings("ignore::mjgranular.GranularWarning")
 def test_sand_has_no_strength_with_gravity_disabled(warp):
     model = scene(warp)
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)

@@ -451,6 +451,18 @@ def test_reset_after_one_step_forgets() -> None:
     assert not sand.relief(data).height.any()
 
 
+def test_time_that_is_set_within_rounding_forgets_nothing() -> None:
+    # Without the sums of rounding, and in single precision.
+    for rounded in (lambda k: k * 0.002, lambda k: float(np.float32(k * 0.002))):
+        sand, data = dropped()
+        sand.model.opt.timestep = 0.002
+        data.qpos[2] = 0.0
+        for k in range(1, 60):
+            sand.step(data)
+            data.time = rounded(k)
+            assert k < 10 or sand.relief(data).height.min() < -0.005
+
+
 def test_memory_is_saved_and_restored_and_bad_numbers_change_nothing() -> None:
     sand, data = dropped()
     run(sand, data, 150)
