@@ -58,9 +58,11 @@ def rendered() -> np.ndarray:
 def main() -> None:
     """Draws the figure."""
     pendulum = mujoco.MjModel.from_xml_path(str(model_path("double_pendulum")))
+    start = mujoco.MjData(pendulum)
+    mujoco.mj_resetDataKeyframe(pendulum, start, pendulum.key("start").id)
     foot = mujoco.MjModel.from_xml_string(FOOT)
     panels = [
-        drawn(Sand(pendulum, law="link_distributed"), pendulum.key("start").qpos),
+        drawn(Sand(pendulum, law="link_distributed"), start),
         drawn(Sand(foot, medium="quikrete_medium")),
         rendered(),
     ]

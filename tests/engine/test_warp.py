@@ -194,6 +194,20 @@ def test_a_fall_ends_where_it_ends_on_the_processor_and_no_step_gives_energy(war
     assert sand.force.numpy()[:, 0, 2] == pytest.approx([weight, weight], rel=1e-3)
 
 
+def test_corrections_approach_the_step_of_the_processor(warp):
+    """As docs/warp.md has it, with more states."""
+    script = pathlib.Path(__file__).parents[2] / "benchmarks" / "warp_errors.py"
+    found = subprocess.run(
+        [sys.executable, script, "--names", "box", "--states", "40"],
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout
+    medians = [float(line.split("median ")[1].split(",")[0]) for line in found.splitlines()[-3:]]
+    assert 0.2 > medians[0] > 10 * medians[1]
+    assert max(medians[1:]) < 2e-3
+
+
 @pytest.mark.parametrize("timestep", [0.002, 0.01])
 @pytest.mark.filterwarnings("ignore::mjgranular.GranularWarning")
 def test_a_box_rests(warp, timestep):

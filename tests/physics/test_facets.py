@@ -1,7 +1,9 @@
 """Facets of geoms: against closed forms, fine meshes and symmetry."""
 
 import math
+import re
 from functools import cache
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -768,6 +770,23 @@ def test_the_default_is_as_good_as_a_fine_mesh(name):
     own, pressed = force_errors(name, "rft3d", submerged=True)
     assert rms(own) < 0.01
     assert pressed.max() < 0.01
+
+
+GROUPS = {
+    "sphere, 3 ellipsoids": ("sphere", "ellipsoid", "cigar", "lentil"),
+    "2 capsules": ("capsule", "needle"),
+    "3 cylinders": ("cylinder", "rod", "disc"),
+    "4 boxes": BOXES,
+}
+
+
+@pytest.mark.parametrize("group", GROUPS)
+def test_the_page_counts_facets_as_they_are(group):
+    page = (Path(__file__).parents[2] / "docs" / "shapes.md").read_text(encoding="utf-8")
+    (cell,) = re.findall(rf"^\| {group} \| ([^|]+) \|", page, re.MULTILINE)
+    counts = sorted(len(facets(name)) for name in GROUPS[group])
+    printed = [int(word) for word in re.findall(r"\d+", cell)]
+    assert (printed[0], printed[-1]) == (counts[0], counts[-1])
 
 
 @pytest.mark.slow

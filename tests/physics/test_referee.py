@@ -1,7 +1,9 @@
 """Errors of laws: what they mean, by motions whose numbers are known; files of runs."""
 
+import csv
 import json
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -307,3 +309,27 @@ def test_a_robot_walks_no_farther_than_its_legs_reach():
     # Two steps a turn, each with a chord of 4.1 cm at most twice as long.
     assert 0 < motion.speed[0] < 2 * 2 * 0.041 * run.motion.rate[0]
     assert abs(compare(run.motion, motion).final) < 0.3
+
+
+DOCS = DATA.parents[1] / "docs"
+
+
+def test_pages_quote_the_tables_of_accuracy():
+    with (DOCS / "validity" / "runs.csv").open(encoding="utf-8") as file:
+        rows = [row for row in csv.DictReader(file) if row["law"] == "rft3d_dynamic"]
+    grains = ("seen", "small_bed", "wide_bed", "tilted")
+    drops = [row for row in rows if row["stop"] and row["set"] in grains]
+
+    def least_and_worst(key):
+        errors = [100 * abs(float(row[key])) for row in drops]
+        return f"{min(errors):.0f} to {max(errors):.0f} %", f"within {max(errors):.0f} %"
+
+    rft = (DOCS / "laws" / "rft.md").read_text(encoding="utf-8")
+    assert len(drops) == 15
+    assert f"`rft3d_dynamic` by {least_and_worst('trajectory')[0]}" in rft
+    assert least_and_worst("final")[1] in (DOCS / "laws" / "choosing.md").read_text("utf-8")
+    ends = {row["run"]: 1 + float(row["final"]) for row in rows if row["set"] == "tilted"}
+    tilts = [ends[name] for name in ("level", *(f"tilted {tilt}" for tilt in (30, 45, 60, 75)))]
+    line = re.search(r"\| `rft3d_dynamic` \| ([\d.| ]+) \|\n\| without \$K\$", rft)
+    printed = [float(word) for word in line[1].split("|")]
+    assert printed == pytest.approx(tilts, abs=0.0051)

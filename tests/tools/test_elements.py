@@ -3,6 +3,8 @@
 import importlib
 import json
 import math
+import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import mujoco
@@ -435,3 +437,14 @@ def test_a_model_with_sand_of_its_own_is_looked_at_too(tmp_path, capfd):
     assert json.loads(capfd.readouterr().out)["elements"] == 1
     assert main(["drop", str(path), "--medium", "play_sand", "--law", "link"]) == 2
     assert "the model has sand" in capfd.readouterr().err
+
+
+def test_the_picture_in_the_docs_can_be_drawn(monkeypatch):
+    monkeypatch.syspath_prepend(Path(__file__).resolve().parents[2] / "docs" / "figures")
+    script, drawn = importlib.import_module("elements"), []
+    for name in ("elements", "style"):
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setattr(script, "save", lambda figure, name: drawn.append(figure))
+    monkeypatch.setattr(script, "rendered", lambda: np.zeros((56, 64, 3), np.uint8))
+    script.main()
+    assert len(drawn[0].axes) == 3
