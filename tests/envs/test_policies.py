@@ -79,9 +79,7 @@ def first_of(robot: str) -> str:
 def test_there_are_three_policies_for_each_of_five_robots_and_some_that_follow_commands():
     robots = sorted(name.partition("-v0/")[0] for name in SHIPPED)
     three = ["ChainSwim", "ChainCrawl", "Hexapod", "Hopper", "Ant"]
-    assert robots == sorted(
-        [*3 * three, *3 * ["Go1Velocity"], *2 * ["Go2Velocity"], "G1Velocity"]
-    )
+    assert robots == sorted([*3 * three, *3 * ["Go1Velocity"], "Go2Velocity", "G1Velocity"])
 
 
 @pytest.mark.parametrize("robot", ["ChainSwim", "ChainCrawl", "Hexapod", "Hopper", "Ant"])
@@ -138,8 +136,12 @@ def walk(policy, env, steps):
 @pytest.mark.parametrize("ground", [{}, {"rigid": np.inf}])
 @pytest.mark.parametrize(
     "name",
-    [f"Go1Velocity-v0/ppo-{seed}" for seed in (0, 1, 6)]
-    + [f"Go2Velocity-v0/ppo-{seed}" for seed in (0, 2)],
+    [
+        "Go1Velocity-v0/ppo-0",
+        "Go1Velocity-v0/ppo-1",
+        "Go1Velocity-v0/ppo-6",
+        "Go2Velocity-v0/ppo-2",
+    ],
 )
 def test_a_robot_follows_commands_on_sand_and_on_a_floor(name, ground):
     policy = load_policy(name)
@@ -153,7 +155,7 @@ def test_a_robot_follows_commands_on_sand_and_on_a_floor(name, ground):
 
 
 @pytest.mark.usefixtures("robots")
-def test_the_second_go2_keeps_its_trunk_out_of_weak_sand():
+def test_the_go2_keeps_its_trunk_out_of_weak_sand():
     policy = load_policy("Go2Velocity-v0/ppo-2")
     ahead = {"command_x": (0.6, 0.6), "command_y": (0.0, 0.0), "command_yaw": (0.0, 0.0)}
     env = SandEnv(StraightGo2(**ahead, medium="yuma_sand", push_scale=0.0, history=4))
