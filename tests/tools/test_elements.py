@@ -440,10 +440,13 @@ def test_a_model_with_sand_of_its_own_is_looked_at_too(tmp_path, capfd):
 
 
 def test_the_picture_in_the_docs_can_be_drawn(monkeypatch):
-    monkeypatch.syspath_prepend(Path(__file__).resolve().parents[2] / "docs" / "figures")
+    figures = Path(__file__).resolve().parents[2] / "docs" / "figures"
+    monkeypatch.syspath_prepend(figures)
+    for name in ("elements", "style"):  # other folders have scripts of these names
+        monkeypatch.setitem(sys.modules, name, sys)  # which is taken back in the end
+        del sys.modules[name]
     script, drawn = importlib.import_module("elements"), []
-    for name in ("elements", "style"):
-        monkeypatch.delitem(sys.modules, name)
+    assert Path(str(script.__file__)).parent == figures
     monkeypatch.setattr(script, "save", lambda figure, name: drawn.append(figure))
     monkeypatch.setattr(script, "rendered", lambda: np.zeros((56, 64, 3), np.uint8))
     script.main()
