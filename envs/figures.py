@@ -8,7 +8,6 @@ import numpy as np
 
 from mjgranular.engine.instances import sands_in
 from mjgranular.engine.sensor import SandReadings
-from mjgranular.kernel.records import NO_GRAVITY
 from mjgranular.law.validity import found_at
 from mjgranular.sand import SandSpec
 from mjgranular.sand.material import material_of
@@ -35,7 +34,8 @@ class Figures:
         self.gravity = model.opt.gravity.copy()
         limits, self._found = zip(*(_limits_of(model, sand) for sand in sands), strict=True)
         width, self._froude, self._depth, self._slope = np.array(limits).T
-        pull = 0.0 if model.opt.disableflags & NO_GRAVITY else np.linalg.norm(self.gravity)
+        weightless = model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
+        pull = 0.0 if weightless else np.linalg.norm(self.gravity)
         self._per_speed = 1 / np.sqrt(pull * width) if pull else 0 * width  # Froude of 1 m/s
 
     def read(
