@@ -13,6 +13,7 @@ from mjgranular.sand import SandSpec
 from mjgranular.sand.material import material_of
 from mjgranular.sand.prepare import geoms_in_sand
 from mjgranular.surface.choice import surface_of
+from mjgranular.surface.place import strength_of_gravity
 
 BAD = [int(bad) for bad in mujoco.mjtWarning.__members__.values() if "BADQ" in bad.name]
 """Warnings of MuJoCo that a simulation has diverged; most likely it has been reset then."""
@@ -34,8 +35,7 @@ class Figures:
         self.gravity = model.opt.gravity.copy()
         limits, self._found = zip(*(_limits_of(model, sand) for sand in sands), strict=True)
         width, self._froude, self._depth, self._slope = np.array(limits).T
-        weightless = model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
-        pull = 0.0 if weightless else np.linalg.norm(self.gravity)
+        pull = strength_of_gravity(model)
         self._per_speed = 1 / np.sqrt(pull * width) if pull else 0 * width  # Froude of 1 m/s
 
     def read(

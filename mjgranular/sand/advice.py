@@ -14,7 +14,6 @@ import numpy as np
 
 from mjgranular import errors
 from mjgranular.errors import listed, warn_user
-from mjgranular.kernel.records import NO_GRAVITY
 from mjgranular.law import DepthVelocityLaw, DistributedLinkLaw, Law, LinkLaw
 from mjgranular.law.rft import RftLaw
 from mjgranular.medium.medium import DENSITIES
@@ -26,6 +25,7 @@ from mjgranular.shape.select import body_name, collides, is_choice, moves
 from mjgranular.shape.sizes import LARGEST, data_at_start, geom_name, half_extents, name_of
 from mjgranular.surface import Bed, Plane, Surface
 from mjgranular.surface.floors import CARRIES, WOULD_CARRY, FloorWatch, describe_floors, find_floors
+from mjgranular.surface.place import strength_of_gravity
 
 
 @dataclass(frozen=True)
@@ -231,8 +231,7 @@ def timestep(case: Case) -> Iterator[str]:
 
 def gravity(case: Case) -> Iterator[str]:
     """Check the size of gravity, and that it pulls into a plane; a wall is allowed if asked for."""
-    pull, weightless = case.model.opt.gravity, case.model.opt.disableflags & NO_GRAVITY
-    strength = 0.0 if weightless else float(np.linalg.norm(pull))
+    pull, strength = case.model.opt.gravity, strength_of_gravity(case.model)
     if not 0.0 < strength < _STRONGEST and isinstance(case.law, _OF_SAND):
         yield (
             f"gravity is {strength:g} m/s^2, to which what most laws hold at rest is proportional: "

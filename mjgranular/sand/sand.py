@@ -13,7 +13,6 @@ from mjgranular._util.checks import check_kind, check_switch
 from mjgranular.errors import InputError, UnstableError
 from mjgranular.kernel.compiled import entry
 from mjgranular.kernel.memory import BESIDE, UPDATE
-from mjgranular.kernel.records import NO_GRAVITY
 from mjgranular.law import Law
 from mjgranular.medium import Medium
 from mjgranular.relief.grid import TIME
@@ -30,6 +29,7 @@ from mjgranular.scheme import Scheme
 from mjgranular.scheme.scheme import FINE, REFUSED
 from mjgranular.shape.select import body_name
 from mjgranular.surface import Surface
+from mjgranular.surface.place import strength_of_gravity
 
 _step1 = mujoco.mj_step1
 _step2 = mujoco.mj_step2
@@ -334,7 +334,7 @@ class Sand:
         if failed != FINE:
             raise self._failure(data, failed, binding)
         probe.time = data.time
-        pull, weightless = model.opt.gravity, model.opt.disableflags & NO_GRAVITY
+        pull = model.opt.gravity
         if not np.array_equal(pull, self._pull):
             self._slope, self._pull = self._sand.surface.tilt(model), pull.copy()
         report = describe(
@@ -342,7 +342,7 @@ class Sand:
             sand=self._sand,
             names=self._names,
             binding=binding,
-            gravity=0.0 if weightless else float(np.linalg.norm(pull)),
+            gravity=strength_of_gravity(model),
             slope=self._slope,
             solver=None if counts is None else Solver(*counts[0].item()),
         )

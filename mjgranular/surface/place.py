@@ -85,6 +85,12 @@ def up_of(model: mujoco.MjModel) -> np.ndarray:
     return -gravity / np.linalg.norm(gravity) if gravity.any() else np.array([0.0, 0.0, 1.0])
 
 
+def strength_of_gravity(model: mujoco.MjModel) -> float:
+    """Return the size of gravity [m/s^2], 0 if a flag disables it."""
+    is_off = model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY
+    return 0.0 if is_off else float(np.linalg.norm(model.opt.gravity))
+
+
 def tilt_of(normal: np.ndarray, model: mujoco.MjModel) -> float:
     """Return the angle of a unit normal from the vertical [rad]."""
     up = up_of(model)
