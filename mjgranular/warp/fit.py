@@ -15,8 +15,8 @@ from mjgranular.warp.motions import SLOT_DTYPE
 _HAIR = 1e-5
 """Shift of inertial frames, relative to the body's size; chosen: MuJoCo takes 1e-6 m as zero."""
 
-_SAME = ("nv", "nbody", "ngeom", "geom_contype", "geom_conaffinity", "geom_size", "geom_pos")
-_SHAPES = ("geom_size", "geom_pos")  # those of other geoms may differ between worlds
+_SHAPES = ("geom_size", "geom_pos", "geom_quat")  # those of other geoms may differ between worlds
+_SAME = ("nv", "nbody", "njnt", "ngeom", "geom_contype", "geom_conaffinity", *_SHAPES)
 
 
 def slots_of(model: mujoco.MjModel, elements: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -189,9 +189,8 @@ class WarpSand:
         found = [get_medium(medium) for medium in media]
         records = [get_law(self.law.name, medium).parameters(medium) for medium in found]
         each = np.concatenate(records * (self._size[0] // len(records)))
-        wp.copy(
-            self._laws, to_device(each, self._law_struct, self._device)
-        )  # in captured graphs too
+        given = to_device(each, self._law_struct, self._device)
+        wp.copy(self._laws, given)  # in place, for captured graphs
 
     def relief(self, d: Any, world: int, middle: tuple[float, float] | None = None) -> Heights:
         """Return the stored heights of a world's sand over its surface, as `Sand.relief` does.
