@@ -155,7 +155,7 @@ def test_what_the_chosen_scheme_cannot_step_is_refused_at_once(door, scheme, opt
         ("enableflags", int(mujoco.mjtEnableBit.mjENBL_IPC)),
     ],
 )
-def test_what_discrete_is_not_foreseen_with_is_refused_under_way(door, name, value):
+def test_what_discrete_is_not_predicted_with_is_refused_under_way(door, name, value):
     run = Run(boxes('integrator="discrete" solver="CG"'), door)
     run.step()
     good, place = getattr(run.model.opt, name), run.data.qpos.copy()
@@ -239,7 +239,7 @@ def test_disabled_gravity_is_no_gravity(scheme):
 # What the engine will do
 
 
-def foreseen(sand, data):
+def predicted(sand, data):
     return sand._bindings[data].workspace.arrays["velocity"]
 
 
@@ -275,7 +275,7 @@ def test_a_body_with_its_mass_off_its_origin(integrator, damping, option, more, 
         for _ in range(30):
             size = abs(data.qvel).max()
             work = max(work, work_of_step(sand, data))
-            worst = max(worst, abs(foreseen(sand, data) - data.qvel).max() / size)
+            worst = max(worst, abs(predicted(sand, data) - data.qvel).max() / size)
     assert work <= 1e-12
     assert worst < 1e-6
 
@@ -290,7 +290,7 @@ def test_damping_that_is_set_under_way():
     for _ in range(30):
         size = abs(data.qvel).max()
         sand.step(data)
-        assert abs(foreseen(sand, data) - data.qvel).max() < 1e-6 * size
+        assert abs(predicted(sand, data) - data.qvel).max() < 1e-6 * size
 
 
 @pytest.mark.parametrize("solver", ["PGS", "CG", "Newton"])

@@ -1,4 +1,4 @@
-"""MuJoCo's integrator `discrete` under the implicit scheme: its effective metric is foreseen."""
+"""MuJoCo's integrator `discrete` under the implicit scheme: its effective metric is predicted."""
 
 from functools import partial
 
@@ -119,7 +119,7 @@ def push(model, data, rng):
 
 
 @pytest.mark.parametrize("seed", range(24))
-def test_drawn_steps_are_foreseen_and_take_energy(seed):
+def test_drawn_steps_are_predicted_and_take_energy(seed):
     model, rng = drawn(seed), np.random.default_rng(seed)
     sand, data = Sand(model, law=BLOB, scheme="implicit"), mujoco.MjData(model)
     data.qvel[:] = rng.normal(scale=0.5, size=model.nv)
@@ -180,7 +180,7 @@ FLEX = """
     ("count", "height", "dim", "more"),
     [("4 4 1", 0.1, 2, 'thickness="1e-2" elastic2d="both"'), ("3 3 3", 0.14, 3, "")],
 )
-def test_what_meets_a_flex_is_foreseen(count, height, dim, more):
+def test_what_meets_a_flex_is_predicted(count, height, dim, more):
     model = mujoco.MjModel.from_xml_string(
         FLEX.format(count=count, height=height, dim=dim, more=more)
     )

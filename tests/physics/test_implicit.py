@@ -72,7 +72,7 @@ def account(sand, data):
     return sand._bindings[data].workspace.statistics[0]
 
 
-def foreseen(sand, data):
+def predicted(sand, data):
     """The velocity at the end of the step that the solver last found."""
     return sand._bindings[data].workspace.arrays["velocity"]
 
@@ -452,7 +452,7 @@ def tree(integrator="Euler", root=FREE, joint="", world="", more="", option=""):
 
 
 def surprise(model, steps=40, **options):
-    """Greatest difference between `qvel` and what was foreseen, in parts of the speeds at hand.
+    """Greatest difference between `qvel` and what was predicted, in parts of the speeds at hand.
 
     Beyond what the solver says it has left, which moves the lightest parts most.
     """
@@ -468,7 +468,7 @@ def surprise(model, steps=40, **options):
         sand.step(data)
         speed = max(abs(data.qvel).max(), abs(data.qvel - before).max())
         left = 100 * account(sand, data)["residual"]  # measured: at most 54
-        worst = max(worst, abs(data.qvel - foreseen(sand, data)).max() / speed - left)
+        worst = max(worst, abs(data.qvel - predicted(sand, data)).max() / speed - left)
     assert account(sand, data)["steps"] > steps / 2
     assert account(sand, data)["worst"] <= 1e-8
     return worst
@@ -516,7 +516,7 @@ def test_the_jacobian_is_the_derivative_of_the_residual(name, integrator):
 
 @pytest.mark.parametrize("integrator", INTEGRATORS)
 @pytest.mark.parametrize("case", SMOOTH)
-def test_the_step_is_foreseen(case, integrator):
+def test_the_step_is_predicted(case, integrator):
     # Measured: at most 2e-10.
     assert surprise(tree(integrator, **SMOOTH[case])) < 1e-9
 
@@ -553,21 +553,21 @@ def test_forces_are_the_laws_at_the_end_of_the_step(timestep):
 
 @pytest.mark.parametrize("integrator", INTEGRATORS)
 @pytest.mark.parametrize("case", BOUND)
-def test_the_step_is_foreseen_with_constraints(case, integrator):
+def test_the_step_is_predicted_with_constraints(case, integrator):
     model = tree(integrator, **BOUND[case])
     # MuJoCo's solver stops on its own account; measured: at most 1e-9.
     assert surprise(model) < 1e-8
 
 
 @pytest.mark.parametrize("loss", [0.005, 0.05, 0.5])
-def test_the_step_is_foreseen_at_any_friction_loss(loss):
+def test_the_step_is_predicted_at_any_friction_loss(loss):
     # From one way of sliding to the other: Newton's method alone leaps there for ever.
     model = tree(joint=f'frictionloss="{loss}"')
     assert surprise(model, steps=200) < 1e-8
 
 
 @pytest.mark.parametrize("case", CONTACTS)
-def test_the_step_is_foreseen_on_a_floor(case):
+def test_the_step_is_predicted_on_a_floor(case):
     assert surprise(tree(**CONTACTS[case])) < 1e-8
 
 
@@ -584,7 +584,7 @@ def test_constraints_as_dense_and_as_sparse_rows_are_the_same():
 
 
 @pytest.mark.parametrize("integrator", INTEGRATORS)
-def test_two_lone_free_bodies_are_foreseen(integrator):
+def test_two_lone_free_bodies_are_predicted(integrator):
     # MuJoCo's implicitfast and discrete take their gyroscopic moment implicitly too.
     box = '<body pos="{} 0 0"><freejoint/><geom type="box" size=".08 .06 .04"/></body>'
     model = mujoco.MjModel.from_xml_string(

@@ -1,4 +1,4 @@
-"""Random models in random sand: the sand takes energy and gives none, and steps are foreseen."""
+"""Random models in random sand: the sand takes energy and gives none, and steps are predicted."""
 
 import math
 from dataclasses import dataclass
@@ -144,7 +144,7 @@ def test_a_step_in_sand_ends_with_less_than_one_without(seed):
 
 @pytest.mark.parametrize("seed", range(200, 212))
 @pytest.mark.parametrize("integrator", ["", "discrete"])
-def test_random_steps_are_foreseen(seed, integrator):
+def test_random_steps_are_predicted(seed, integrator):
     drawn = Drawn(seed, contacts=False, integrator=integrator)
     drawn.model.opt.tolerance, drawn.model.opt.iterations = 1e-15, 200
     sand, data = drawn.begin()
