@@ -107,7 +107,9 @@ def toward_kernel(probe: Any, is_flat: bool) -> Any:
 
     @compiled
     def toward(relief, point, outward):
-        n = read_vector(relief.normal, 0) if is_flat else probe(relief.base, point)[1]
+        n = read_vector(relief.normal, 0)
+        if not is_flat:
+            _, n = probe(relief.base, point)
         level = outward - dot(outward, n) * n
         tilt = norm(level)
         far = AHEAD * relief.cell / max(tilt, STEEP)
