@@ -23,6 +23,7 @@ _FINE = 8  # cells per patch along each parameter; chosen, not measured
 # An ellipsoid is divided between equal shares of a stretched sphere's surface (0) and equal shares
 # of the normals (1). Measured: below 0.1 the rim of a lens, above 0.4 its sides are too coarse.
 _TURNING = 0.2
+_WHEEL = 64  # least number of patches around a wheel; measured (docs/shapes.md)
 
 
 @dataclass(frozen=True)
@@ -190,8 +191,13 @@ def cap(radius: float, height: float, count: int) -> Cells:
 
 
 def cylinder(radius: float, half: float, resolution: int) -> Cells:
-    """Return a cylinder about z with flat ends; `2 * resolution` patches around."""
-    side = tube(radius, half, _rows(radius, half, resolution), 2 * resolution)
+    """Return a cylinder about z with flat ends; `2 * resolution` patches around.
+
+    One up to twice as long as thick may be a wheel or a drum, and has four times as many: what
+    spins turns its facets along their own skin, and with few of them it pulls too hard.
+    """
+    around = 2 * resolution if half > 2 * radius else max(8 * resolution, _WHEEL)
+    side = tube(radius, half, _rows(radius, half, resolution), around)
     count = max(1, round(resolution / 6))
     return joined([side, disc(radius, half, count), disc(radius, -half, count)])
 

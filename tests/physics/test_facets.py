@@ -180,16 +180,17 @@ def test_closed_forms_of_the_test_itself():
 @pytest.mark.parametrize("name", CURVED)
 def test_area_and_volume_converge(name):
     errors = []
-    for finer in (0.5, 1, 2, 4):
-        cut = facets(name, round(finer * RESOLUTION))
+    for finer in (1, 2, 4):
+        cut = facets(name, finer * RESOLUTION)
         area, inside = area_and_volume(name)
         errors.append([abs(cut["area"].sum() / area - 1), abs(volume(cut) / inside - 1)])
-    assert errors[1][0] < 2e-3
-    assert errors[1][1] < 1e-2
-    # The rings at a pole have few patches of few cells: second order but for a logarithm in area.
-    orders = np.log2(np.array(errors[0]) / np.array(errors[3])) / 3
+    assert errors[0][0] < 2e-3
+    assert errors[0][1] < 1e-2
+    # Second order, but for a logarithm where the rings at a pole, of few patches, have a say: in
+    # areas, and in the volume of a cylinder, whose side is finer than its ends.
+    orders = np.log2(np.array(errors[0]) / np.array(errors[2])) / 2
     assert orders.min() > 1.3
-    assert orders[1] > 1.8
+    assert SHAPES[name][0] == "cylinder" or orders[1] > 1.8
 
 
 @pytest.mark.parametrize("name", BOXES)
@@ -1194,14 +1195,14 @@ def test_width_is_the_middle_extent(name, width):
 
 # Pull over load of the wheel of docs/shapes.md, by slip and resolution.
 PULLS = {
-    0.0: {4: -0.376, None: -0.148, 24: -0.110, 48: -0.104},
-    0.5: {4: 0.252, None: 0.088, 24: 0.085, 48: 0.085},
-    0.9: {4: 0.451, None: 0.227, 24: 0.131, 48: 0.073},
+    0.0: {4: -0.109, None: -0.105, 24: -0.102},
+    0.5: {4: 0.085, None: 0.085, 24: 0.085},
+    0.9: {4: 0.096, None: 0.073, 24: 0.064},
 }
 
 
 @pytest.mark.parametrize("slip", PULLS)
-def test_wheels_need_fine_facets(slip):
+def test_wheels_pull_alike_at_every_resolution(slip):
     model = mujoco.MjModel.from_xml_string("""
     <mujoco>
       <option timestep="0.002" integrator="implicitfast"/>
