@@ -11,6 +11,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from scipy.interpolate import RegularGridInterpolator
 from scipy.optimize import brentq
 
 from mjgranular import Memory, Sand
@@ -275,3 +276,42 @@ def test_surroundings_are_rounded_up_to_a_divisor_of_the_extent(surroundings):
     divisors = [n for n in range(1, memory.size + 1) if memory.size % n == 0]
     expected = min(n for n in divisors if 0.01 * n >= surroundings * (1 - 1e-9))
     assert memory.size // memory.blocks(surroundings) == expected
+
+
+def test_the_depth_in_prints_is_that_of_the_page():
+    plate = """<mujoco><option timestep="1e-3"/><worldbody><body name="plate"><freejoint/>
+      <geom type="box" size="0.05 0.05 0.005" mass="1"/></body></worldbody></mujoco>"""
+    model = mujoco.MjModel.from_xml_string(plate)
+    data, cell, wide = mujoco.MjData(model), 0.01, 10
+    sand = Sand(model, law="rft3d", scheme="explicit", memory=Memory(cell, surroundings=0.1))
+    for height in [*np.arange(0, -0.02, -1e-3), *np.full(40, 0.05)]:
+        data.qpos[2], data.time = height + 0.005, data.time + 0.01
+        for _ in range(10):
+            mujoco.mj_step1(model, data)
+            sand.apply(data)
+    prints = sand.relief(data)
+    height = RegularGridInterpolator((prints.x, prints.y), prints.height)
+
+    def weights(place, nodes):
+        """The part of each node's block in a square of four blocks around a place."""
+        first = np.floor_divide(np.round(nodes / cell), wide) * wide - 0.5
+        low, high = place / cell - 2 * wide, place / cell + 2 * wide
+        return np.clip(np.minimum(high, first + wide) - np.maximum(low, first), 0, wide) / wide
+
+    compared, levels = 0, []
+    for place in [(0, 0, -0.03), (0.03, 0.02, -0.0195), (0.13, 0.02, -0.01), (0.2, 0.1, -0.01)]:
+        data.qpos[:3] = np.add(place, (0, 0, 0.005))
+        mujoco.mj_forward(model, data)
+        elements = sand.report(data).elements
+        for x, y, z in elements.point[abs(elements.point[:, 2] - place[2]) < 1e-9]:
+            around = weights(x, prints.x) @ prints.height @ weights(y, prints.y) / (4 * wide) ** 2
+            levels.append(around)
+            above, deep = float(height((x, y))) - z, around - z
+            expected = min(above / min(0.1 * cell, deep), 1) * deep
+            if above <= 0:
+                continue
+            at = abs(elements.point - (x, y, z)).max(axis=1).argmin()
+            assert elements.depth[at] == pytest.approx(expected, abs=1e-12)
+            compared += 1
+    assert compared > 20
+    assert max(map(abs, levels)) > 1e-5
