@@ -265,9 +265,24 @@ def test_the_froude_number_is_by_the_widest_face_of_the_body():
 
 def test_rays_have_the_weight_on_the_page():
     (power,) = re.findall(r"\\cos\^\{(\d+)\}", (DOCS / "shapes.md").read_text("utf-8"))
+    assert len(rigid._CORNERS) * len(rigid._lobe()) == 32
     up = np.unique(rigid._lobe()[:, 2].round(12))
     # By solid angle cos^p, of which cos^(p+1) has evenly spread values.
     assert up ** (int(power) + 1) == pytest.approx((np.arange(len(up)) + 0.5) / len(up))
+
+
+def test_a_wall_counts_by_its_gap_over_that_of_the_first():
+    wall = '<geom type="box" size="0.1 0.1 0.005" pos="0 0 {}"/>'
+    places = (0.0, 0.03, 0.05, 0.09)  # gaps of 20, 10 and 30 mm
+    geoms = "".join(wall.format(z) for z in places)
+    model = mujoco.MjModel.from_xml_string(HEAVY.format(geoms=geoms))
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    sight = rigid._Sight(model, data)
+    sight.show(np.arange(4))
+    ray, start = np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.0, 0.005 + 1e-9])
+    met = sight.walls([(start, ray)], ray, 0, 0.1)
+    assert met[:3] == pytest.approx([1.0, 0.5, 1.0], abs=1e-4)
 
 
 @pytest.mark.parametrize("surroundings", [0.05, 0.09, 0.13, 0.26, 0.4])
