@@ -76,7 +76,7 @@ def rft3d_slope(law, g, rise, down, lead):
     and 90 degrees: of a plate's two normals m = +-n is the one that points down. The tangential
     part of the response is t = f2 v - f3 z - tau m.
 
-    In one of 1,500 directions the fit would add energy. There the tangential part is reduced to
+    In 0.05 % of directions the fit would add energy. There the tangential part is reduced to
     zero power, so that the law is dissipative and continuous.
     """
     flip = -1.0 if down > UPRIGHT else 1.0

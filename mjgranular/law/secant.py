@@ -1,6 +1,6 @@
 """The secant of a force: damping that equals it at one velocity, and dissipates at any other.
 
-docs/scheme.md, "Damping", has the formula of the secant C, for which C v = -F(v). Both engines use
+docs/scheme.md, "Damping", has the formula of the secant Z, for which Z v = -F(v). Both engines use
 it (`scheme.damping`, `warp.damping`).
 """
 
@@ -17,7 +17,7 @@ _LEAST_POWER = 0.02
 
 @partial(compiled, inline=True)
 def secant(force, slope, u):
-    """Return C of a force F / |v| [N s/m] that moves along u = v / |v|.
+    """Return Z of a force F / |v| [N s/m] that moves along u = v / |v|.
 
     The slope is minus the force's derivative by the velocity, a matrix [N s/m].
     """
@@ -25,7 +25,7 @@ def secant(force, slope, u):
     resists = power > 0.0
     inverse = 1.0 / max(power, _LEAST_POWER * size) if resists else 0.0
     least = size if resists else 0.0
-    # S by its two eigenvalues.
+    # Y by its two eigenvalues.
     a = across(u)
     b = cross(u, a)
     by_a, by_b = slope @ a, slope @ b

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Literal
 
 Measure = Literal["froude", "inertial_number", "depth_over_width", "slope"]
-"""froude is |v| / sqrt(g w), with the geom's width w; inertial_number (|v| / w) d sqrt(rho / (rho g
-z)), with the grain's diameter d and the depth z; depth_over_width z / w; slope the angle of the
-surface against the horizontal [rad]. The first three are the greatest over a body's immersed
-elements."""
+"""froude is |v| / sqrt(g w), with an element's width w; inertial_number (|v| / w) d sqrt(rho /
+(rho g z)), with the grain's diameter d and the depth z, at least d; depth_over_width z / w; slope
+the angle of the surface against the horizontal [rad]. The first three are the greatest over a
+body's immersed elements."""
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,8 @@ class Memory:
             wrapped around: a body that moves farther overwrites what is this far behind. None for 2
             m, or more if the bodies of a model need it.
         surroundings: distance up to which sand counts for the level around a point [m]: the mean is
-            that of a square of four times this. None for four cells and the widest geom's width.
+            that of a square of four times this, rounded up to a divisor of the extent. None for
+            four cells and the widest geom's width.
         repose: angle of repose [rad]; steeper slopes flow down.
         heap: share of the height of a heap that counts as depth in front of an upright face, from 0
             to 1; 0.3 for blades (docs/memory.md).

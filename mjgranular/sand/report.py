@@ -40,8 +40,8 @@ ELEMENT_DTYPE = np.dtype(
 - `power`: power of that force on the body [W]. Under the implicit scheme it is that at the end of
   the step, where the force is: never positive in sum over a body, and up to a hundredth of the
   greatest for one element.
-- `froude`: Froude number |v_E| / sqrt(g w) with the geom's width w; 0 without gravity.
-- `width`: width of the geom [m].
+- `froude`: Froude number |v_E| / sqrt(g w) with this width w; 0 without gravity.
+- `width`: diameter of a rod, width of the widest face on a facet's geom [m].
 """
 
 

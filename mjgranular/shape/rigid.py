@@ -20,8 +20,8 @@ from mjgranular.shape.sizes import half_extents, rod_length
 # five times as wide is open. Chosen, not measured.
 _PARALLEL, _COPLANAR, _GAP, _OPEN = math.cos(math.radians(3)), 0.05, 0.1, 0.5
 
-# G of (A0): how much thicker fluid moves with a cylinder than a ball (pi/4 to 1/3 diameters: Lamb,
-# Hydrodynamics), with a strip than a square plate (1 to 0.579: DNV RP-C205).
+# Gamma of (A0): how much thicker fluid moves with a cylinder than a ball (pi/4 to 1/3 diameters:
+# Lamb, Hydrodynamics), with a strip than a square plate (1 to 0.579: DNV RP-C205).
 _LONG_ROUND, _LONG_FLAT = 1.36, 0.73
 
 _HOLLOW = 0.05  # of a nearly convex body that is ahead of the faces of a part, at most; chosen
@@ -29,7 +29,7 @@ _MOST = 4000  # facets of a plane compared in pairs, at most; else they are one 
 
 # Rays from a facet are distributed around its normal with the weight cos(angle)^_FOCUS. Fitted to
 # plates in tandem in simulated grains (referee/data/tandem, docs/shapes.md).
-_FOCUS = 20.0
+_FOCUS = 21.0
 _RINGS = 4  # angles of rays to the normal, two opposite ones at each; chosen
 # Rays start this far outside, in units of the geom's width, and hits at grazing angles on the
 # facet's own geom within the second distance count as the facet itself. Chosen.
@@ -89,10 +89,11 @@ def join_faces(
     """Set the widths of the face that each facet belongs to, and close narrow gaps in flat faces.
 
     A flat face is the union of the coplanar, adjacent facets of a rigid body. Its width is its area
-    over its length, and its length that of a rod with the same greatest radius of gyration: the
-    shorter side of a rectangle. A curved surface is as wide as its geom; of meshes that touch and
-    are nearly convex together, as all of them. Sand in a narrow gap moves with the body and is part
-    of the face, so the facets on both sides get half of the gap each, and less of wider ones.
+    over its length, and its length that of a rod with the same greatest radius of gyration, or the
+    root of its area: the shorter side of a rectangle. A curved surface is as wide as its geom; of
+    meshes that touch and are nearly convex together, as all of them. Sand in a narrow gap moves
+    with the body and is part of the face, so the facets on both sides get half of the gap each, and
+    less of wider ones.
 
     The layer that moves along is that of a wider face if the face is long: `layer`, eq. (A0).
     `data` is of `in_own_frames`; `width` of facets is their geom's; `exposed` are their shares
@@ -328,9 +329,9 @@ def _hinge(model: mujoco.MjModel, weld: int) -> _Hinge | None:
 
 
 def _lobe() -> np.ndarray:
-    """Return directions around z, distributed as cos^(_FOCUS + 1) over the half sphere."""
+    """Return directions around z, distributed as cos^_FOCUS over the half sphere."""
     ring = np.arange(_RINGS)
-    up = ((ring + 0.5) / _RINGS) ** (1.0 / (_FOCUS + 2.0))
+    up = ((ring + 0.5) / _RINGS) ** (1.0 / (_FOCUS + 1.0))
     turn = math.pi * (ring + 0.5) / _RINGS
     out = np.sqrt(1.0 - up**2)
     rays = np.stack([out * np.cos(turn), out * np.sin(turn), up], axis=-1)
@@ -386,7 +387,7 @@ def _bridged(at: np.ndarray, reach: np.ndarray, geoms: np.ndarray, width: float)
 
 
 def _width_of(at: np.ndarray, half: np.ndarray, areas: np.ndarray) -> tuple[float, float]:
-    """Return the width of a flat face and G (1 - w/l), of facets with these centers, half edges."""
+    """Return the width of a flat face and Gamma (1 - w/l), by its facets' centers, half edges."""
     area = areas.sum()
     length = max(rod_length(at, areas, half, 3), math.sqrt(area))
     return float(area / length), float(_LONG_FLAT * (1 - area / length**2))
@@ -438,7 +439,7 @@ def _joined(
 
 
 def _longer(normals: np.ndarray, axis: np.ndarray, width: float, long: float) -> np.ndarray:
-    """Return G (1 - w/l) (1 - (n.e)^2) of layer = w (1 + ...) (A0), for round skin."""
+    """Return Gamma (1 - w/l) (1 - (n.e)^2) of layer = w (1 + ...) (A0), for round skin."""
     return _LONG_ROUND * (1 - width / long) * (1 - (normals @ axis) ** 2)
 
 

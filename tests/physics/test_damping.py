@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import mujoco
@@ -46,6 +47,13 @@ vectors = st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3).filter(
     lambda v: np.linalg.norm(v) > 1e-2
 )
 matrices = st.lists(st.floats(-50.0, 50.0), min_size=9, max_size=9)
+
+
+def test_a_force_nearly_across_the_motion_has_the_power_of_a_fiftieth():
+    # F F^T / 0.02 |F| |v| on the page of the scheme, in place of F F^T / 0.01 |F| |v|.
+    u, out = np.array([-0.01, math.sqrt(1 - 1e-4), 0.0]), np.empty(9)
+    secant_of(np.array([1.0, 0.0, 0.0]), np.zeros(9), u, out)
+    assert u @ out.reshape(3, 3) @ u == pytest.approx(0.01**2 / 0.02)
 
 
 @given(force=vectors, slope=matrices, motion=vectors)
