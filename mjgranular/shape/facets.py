@@ -9,7 +9,7 @@ import numpy as np
 
 from mjgranular._util.checks import check_count
 from mjgranular.shape import patches, sizes, tessellation
-from mjgranular.shape.rigid import exposures, in_own_frames, join_faces
+from mjgranular.shape.rigid import exposures, hinge_of, in_own_frames, join_faces
 from mjgranular.shape.shells import mesh_arrays, mesh_faces, within_others
 from mjgranular.shape.tessellation import Cells
 
@@ -77,20 +77,20 @@ def facets_from_model(
         check_count("the resolution", resolution, 2, FINEST)
         rings = [int(resolution)] * len(ordered)
     model = copy.copy(model)
-    data = sizes.data_at_start(model)
+    data, own = sizes.data_at_start(model), in_own_frames(model)
     parts, count = [], 0
     # One surface at a time: the cells of all would fill the memory.
     for geom, fine in zip(ordered, rings, strict=True):
         if int(model.geom_type[geom]) == _GEOM.mjGEOM_MESH:
             vertices, faces, shells = mesh_faces(model, geom)
             mesh_arrays(model, geom)[1][:] = faces  # rays meet them as turned
-            corners, own = vertices[faces], shells
+            corners, pieces = vertices[faces], shells
             if meshes == "patches":
                 corners, parents = patches.pieces(corners, fine)
-                own = shells[parents]
+                pieces = shells[parents]
             if hidden == "drop":
                 skin = tessellation.triangles(corners)
-                inside = within_others(corners, own, vertices[faces], shells)
+                inside = within_others(corners, pieces, vertices[faces], shells)
                 corners = corners[~(inside | hidden_skin(model, data, geom, skin, ordered))]
             facets = (
                 patches.gathered(corners, fine) if meshes == "patches" else patches.single(corners)
@@ -98,7 +98,7 @@ def facets_from_model(
             width = sizes.geom_width(model, geom)
             flat = patches.flatness(facets.points, facets.normals, facets.areas, width)
         else:
-            skin = _skin(model, geom, fine)
+            skin = _skin(model, geom, fine, _spins(model, own, geom))
             if hidden == "drop":
                 skin = skin.only(~hidden_skin(model, data, geom, skin, ordered))
             facets = skin.gathered()
@@ -121,7 +121,7 @@ def facets_from_model(
         part["extent"] = np.linalg.norm(facets.edges, axis=2).sum(axis=1)
         part["width"] = sizes.geom_width(model, geom)
         part["flat"] = flat
-    facets, own = np.concatenate(parts), in_own_frames(model)
+    facets = np.concatenate(parts)
     sizes.set_bodies(model, facets)
     exposed = np.ones(len(facets))
     if sheltered == "drop":
@@ -212,12 +212,18 @@ def _inside(model: mujoco.MjModel, geom: int, points: np.ndarray) -> np.ndarray:
     return np.zeros(len(points), bool)
 
 
-def _skin(model: mujoco.MjModel, geom: int, resolution: int) -> Cells:
+def _spins(model: mujoco.MjModel, own: mujoco.MjData, geom: int) -> bool:
+    """Return whether a geom turns about its own z axis on a hinge, as a wheel or a roller does."""
+    hinge = hinge_of(model, int(model.body_weldid[model.geom_bodyid[geom]]))
+    return hinge is not None and abs(hinge.axis @ own.geom_xmat[geom].reshape(3, 3)[:, 2]) > 0.99
+
+
+def _skin(model: mujoco.MjModel, geom: int, resolution: int, spins: bool) -> Cells:
     shapes = {
         _GEOM.mjGEOM_SPHERE: lambda s: tessellation.ellipsoid((s[0], s[0], s[0]), resolution),
         _GEOM.mjGEOM_ELLIPSOID: lambda s: tessellation.ellipsoid((s[0], s[1], s[2]), resolution),
         _GEOM.mjGEOM_CAPSULE: lambda s: tessellation.capsule(s[0], s[1], resolution),
-        _GEOM.mjGEOM_CYLINDER: lambda s: tessellation.cylinder(s[0], s[1], resolution),
+        _GEOM.mjGEOM_CYLINDER: lambda s: tessellation.cylinder(s[0], s[1], resolution, spins),
         _GEOM.mjGEOM_BOX: lambda s: tessellation.box((s[0], s[1], s[2]), resolution),
     }
     shape = shapes.get(_GEOM(int(model.geom_type[geom])))
