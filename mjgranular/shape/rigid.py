@@ -165,7 +165,7 @@ def exposures(model: mujoco.MjModel, data: mujoco.MjData, facets: np.ndarray) ->
         if len(geoms) == 1 and model.geom_type[geoms[0]] != _MESH:
             continue  # one convex skin
         sight.show(geoms)
-        hinge = hinge_of(model, weld)
+        hinge = _hinge(model, weld)
         # Upper bound of the distance from a patch's center to its curved surface.
         bulges = np.einsum(
             "ni,ni->n", *(np.linalg.norm(facets[k][mine], axis=2) for k in ("edges", "spread"))
@@ -319,7 +319,7 @@ class _Sight:
         return met
 
 
-def hinge_of(model: mujoco.MjModel, weld: int) -> _Hinge | None:
+def _hinge(model: mujoco.MjModel, weld: int) -> _Hinge | None:
     """Return the hinge of a rigid body that turns on one, in a carriage on its other joints."""
     joint = model.body_jntadr[weld] + model.body_jntnum[weld] - 1
     if model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_HINGE:

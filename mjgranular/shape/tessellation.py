@@ -193,9 +193,8 @@ def cap(radius: float, height: float, count: int) -> Cells:
 def cylinder(radius: float, half: float, resolution: int, spins: bool = False) -> Cells:
     """Return a cylinder about z with flat ends; `2 * resolution` patches around.
 
-    One that spins about z, or is up to twice as long as thick and so may be a wheel or a drum, has
-    four times as many: what spins turns its facets along their own skin, and with few of them it
-    pulls too hard. It has two rows or more: on a single one a wheel falls over.
+    A wheel, which spins about z or is up to twice as long as thick, has four times as many, since
+    its facets turn along their own skin, and two rows or more: with one it falls over.
     """
     around, rows = 2 * resolution, _rows(radius, half, resolution)
     if spins or half <= 2 * radius:

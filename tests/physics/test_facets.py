@@ -1272,3 +1272,26 @@ def test_a_wheel_is_steered_in_place_as_with_fine_facets(resolution):
             moments.append(sand.report(data)["wheel"].moment[2])
     fine = -0.58  # [N m], with resolution=96
     assert np.mean(moments) == pytest.approx(fine, rel=0.2)
+
+
+@pytest.mark.parametrize("limits", ["", 'range="-720 720"'])
+def test_a_fender_hides_nothing_of_a_wheel_that_turns(limits):
+    # The upper part of the wheel is inside the chassis.
+    model = mujoco.MjModel.from_xml_string(f"""
+    <mujoco><worldbody><body><freejoint/><geom type="box" size=".3 .2 .04" pos="0 0 .08"/>
+      <body><joint axis="0 1 0" {limits}/>
+        <geom type="cylinder" size=".1 .03" euler="90 0 0"/></body>
+    </body></worldbody></mujoco>""")
+    wheel = facets_from_model(model, [1])["area"].sum()
+    both = facets_from_model(model, [0, 1])
+    assert both["area"][both["geom"] == 1].sum() == pytest.approx(wheel)
+
+
+def test_what_stays_in_the_chassis_as_a_wheel_turns_is_hidden():
+    model = mujoco.MjModel.from_xml_string("""
+    <mujoco><worldbody><body><freejoint/><geom type="box" size=".3 .2 .1"/>
+      <body><joint axis="0 1 0"/><geom type="cylinder" size=".05 .25" euler="90 0 0"/></body>
+    </body></worldbody></mujoco>""")
+    axle = facets_from_model(model, [0, 1])
+    axle = axle[axle["geom"] == 1]
+    assert np.abs(axle["point"][:, 1]).min() > 0.19
