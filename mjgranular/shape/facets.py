@@ -1,6 +1,7 @@
 """Surfaces of bodies: the facets of their geoms, for laws that act on surface elements."""
 
 import copy
+import math
 from collections.abc import Sequence
 from typing import Literal
 
@@ -35,10 +36,10 @@ FINEST = 200
 """Largest resolution; chosen: a sphere then has 51 000 facets and takes 0.9 GB to divide."""
 
 _TOUCH = 1e-6  # share of a geom's size within which surfaces coincide; chosen: far above rounding
-
 _FLAT = 1e-9  # change of a normal that is rounding; chosen
+_TURNS = 16  # positions around a hinge that turns all round; chosen
 
-_GEOM = mujoco.mjtGeom
+_GEOM, _HINGE = mujoco.mjtGeom, int(mujoco.mjtJoint.mjJNT_HINGE)
 
 
 def facets_from_model(
@@ -78,37 +79,32 @@ def facets_from_model(
         rings = [int(resolution)] * len(ordered)
     model = copy.copy(model)
     data = sizes.data_at_start(model)
-    parts, count = [], 0
+    parts, is_cut = [], meshes == "patches"
     # One surface at a time: the cells of all would fill the memory.
     for geom, fine in zip(ordered, rings, strict=True):
         if int(model.geom_type[geom]) == _GEOM.mjGEOM_MESH:
             vertices, faces, shells = mesh_faces(model, geom)
             mesh_arrays(model, geom)[1][:] = faces  # rays meet them as turned
             corners, own = vertices[faces], shells
-            if meshes == "patches":
+            if is_cut:
                 corners, parents = patches.pieces(corners, fine)
                 own = shells[parents]
             if hidden == "drop":
                 skin = tessellation.triangles(corners)
                 inside = within_others(corners, own, vertices[faces], shells)
                 corners = corners[~(inside | hidden_skin(model, data, geom, skin, ordered))]
-            facets = (
-                patches.gathered(corners, fine) if meshes == "patches" else patches.single(corners)
-            )
+            facets = patches.gathered(corners, fine) if is_cut else patches.single(corners)
             width = sizes.geom_width(model, geom)
             flat = patches.flatness(facets.points, facets.normals, facets.areas, width)
         else:
-            skin = _skin(model, geom, fine)
+            skin = _skin(model, geom, fine, _spins(model, data, geom))
             if hidden == "drop":
                 skin = skin.only(~hidden_skin(model, data, geom, skin, ordered))
             facets = skin.gathered()
             flat = (np.abs(facets.spread).max(axis=(1, 2), initial=0.0) < _FLAT).astype(float)
-        count += len(facets)
-        sizes.check_count(count)
         part = np.zeros(len(facets), FACET_DTYPE)
         parts.append(part)
-        if not len(part):
-            continue
+        sizes.check_count(sum(map(len, parts)))
         rotation = sizes.geom_axes(model, geom)
         part["geom"] = geom
         part["point"] = facets.points @ rotation.T + model.geom_pos[geom]
@@ -127,7 +123,7 @@ def facets_from_model(
     if sheltered == "drop":
         exposed = exposures(model, own, facets)
         facets, exposed = facets[exposed > 0], exposed[exposed > 0]
-    if meshes == "patches":
+    if is_cut:
         join_faces(model, own, facets, exposed)
     else:
         facets["face"] = facets["layer"] = facets["width"]
@@ -146,13 +142,14 @@ def hidden_skin(
     A geom hides what is inside it on its own body, and on bodies welded to it. On a body connected
     to its own by hinge or ball joints, parent or child, it hides what is inside it at `qpos0`, the
     pose of `data`, and no farther from the joint than half its width: that stays there, roughly, as
-    the joint turns. A slide joint hides nothing. Where two surfaces coincide and face the same way,
-    that of the lower id is kept, or that of no mesh; else none. A mesh hides only its copy.
+    the joint turns; a hinge that turns all round, as a wheel's does, hides only what stays inside.
+    A slide joint hides nothing. Where two surfaces coincide and face the same way, that of the
+    lower id is kept, or that of no mesh; else none. A mesh hides only its copy.
     """
     hidden = np.zeros(len(skin.points), bool)
     is_mesh = int(model.geom_type[geom]) == _GEOM.mjGEOM_MESH
     poses = np.hstack([data.geom_xpos, data.geom_xmat])
-    turn = data.geom_xmat[geom].reshape(3, 3)
+    turn, quat, matrix = data.geom_xmat[geom].reshape(3, 3), np.zeros(4), np.zeros(9)
     # Cells without area have no normal and are not used; what is too far to compute hides nothing.
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
         points, vectors = skin.points @ turn.T + data.geom_xpos[geom], skin.vectors @ turn.T
@@ -167,16 +164,22 @@ def hidden_skin(
                 arrays = (mesh_arrays(model, g) for g in (geom, other))
                 if all(map(np.array_equal, *arrays)):
                     return ~hidden
-            near = np.ones(len(points), bool)
-            for joint in joints:
-                away = np.linalg.norm(points - data.xanchor[joint], axis=1)
-                near &= away <= (0.5 + _TOUCH) * sizes.geom_width(model, other)
             back, place = data.geom_xmat[other].reshape(3, 3), data.geom_xpos[other]
             step = _TOUCH * sizes.half_extents(model, other).max() * normals
             covered = _inside(model, other, (points + step - place) @ back)
             if other < geom or is_mesh:
                 covered |= _inside(model, other, (points - step - place) @ back)
-            hidden |= near & covered
+            for joint in joints:
+                anchor, reach = data.xanchor[joint], (0.5 + _TOUCH) * sizes.geom_width(model, other)
+                covered &= np.linalg.norm(points - anchor, axis=1) <= reach
+                mujoco.mju_axisAngle2Quat(quat, data.xaxis[joint], 2 * math.pi / _TURNS)
+                mujoco.mju_quat2Mat(matrix, quat)
+                arm = points - step - anchor
+                limited = model.jnt_limited[joint] and np.ptp(model.jnt_range[joint]) <= 2 * math.pi
+                for _ in range(0 if limited or model.jnt_type[joint] != _HINGE else _TURNS):
+                    arm = arm @ matrix.reshape(3, 3)
+                    covered &= _inside(model, other, (arm + anchor - place) @ back)
+            hidden |= covered
     return hidden
 
 
@@ -191,10 +194,9 @@ def _joints_between(model: mujoco.MjModel, geom: int, other: int) -> list[int] |
     # Bodies come after their parents.
     if one == 0 or int(model.body_weldid[model.body_parentid[two]]) != one:
         return None
-    first, count = int(model.body_jntadr[two]), int(model.body_jntnum[two])
-    joints = list(range(first, first + count))
-    turns = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_BALL))
-    return joints if all(int(model.jnt_type[joint]) in turns for joint in joints) else None
+    joints = np.flatnonzero(model.jnt_bodyid == two)
+    is_slide = model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_SLIDE
+    return None if is_slide.any() else joints.tolist()
 
 
 def _inside(model: mujoco.MjModel, geom: int, points: np.ndarray) -> np.ndarray:
@@ -212,12 +214,19 @@ def _inside(model: mujoco.MjModel, geom: int, points: np.ndarray) -> np.ndarray:
     return np.zeros(len(points), bool)
 
 
-def _skin(model: mujoco.MjModel, geom: int, resolution: int) -> Cells:
+def _spins(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> bool:
+    """Return whether a geom turns about its own z axis on a hinge, as a wheel or a roller does."""
+    is_own = model.jnt_bodyid == model.body_weldid[model.geom_bodyid[geom]]
+    axes = data.xaxis[is_own & (model.jnt_type == _HINGE)]
+    return bool((abs(axes @ data.geom_xmat[geom, 2::3]) > 0.99).any())
+
+
+def _skin(model: mujoco.MjModel, geom: int, resolution: int, spins: bool) -> Cells:
     shapes = {
         _GEOM.mjGEOM_SPHERE: lambda s: tessellation.ellipsoid((s[0], s[0], s[0]), resolution),
         _GEOM.mjGEOM_ELLIPSOID: lambda s: tessellation.ellipsoid((s[0], s[1], s[2]), resolution),
         _GEOM.mjGEOM_CAPSULE: lambda s: tessellation.capsule(s[0], s[1], resolution),
-        _GEOM.mjGEOM_CYLINDER: lambda s: tessellation.cylinder(s[0], s[1], resolution),
+        _GEOM.mjGEOM_CYLINDER: lambda s: tessellation.cylinder(s[0], s[1], resolution, spins),
         _GEOM.mjGEOM_BOX: lambda s: tessellation.box((s[0], s[1], s[2]), resolution),
     }
     shape = shapes.get(_GEOM(int(model.geom_type[geom])))

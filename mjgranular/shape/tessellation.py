@@ -164,12 +164,12 @@ def ellipsoid(radii: tuple[float, float, float], resolution: int) -> Cells:
 
 
 def tube(radius: float, half: float, rows: int, around: int) -> Cells:
-    """Return the side of a cylinder about z, with patches laid like bricks.
+    """Return the side of a cylinder about z; an odd number of rows is laid like bricks.
 
-    Bricks sample twice as many normals; an odd number of rows is symmetric under reflection.
+    Bricks sample twice as many normals; an even number of such rows were not symmetric.
     """
     skin = _revolved(lambda u: (radius, half * (1 - 2 * u)))
-    return rings(skin, [around] * rows, [0.5 * (row % 2) for row in range(rows)])
+    return rings(skin, [around] * rows, [0.5 * (rows % 2) * (row % 2) for row in range(rows)])
 
 
 def disc(radius: float, height: float, count: int) -> Cells:
@@ -190,14 +190,16 @@ def cap(radius: float, height: float, count: int) -> Cells:
     return rings(_revolved(profile, up), [_around(4 * count * math.sin(angle)) for angle in polar])
 
 
-def cylinder(radius: float, half: float, resolution: int) -> Cells:
+def cylinder(radius: float, half: float, resolution: int, spins: bool = False) -> Cells:
     """Return a cylinder about z with flat ends; `2 * resolution` patches around.
 
-    One up to twice as long as thick may be a wheel or a drum, and has four times as many: what
-    spins turns its facets along their own skin, and with few of them it pulls too hard.
+    A wheel, which spins about z or is up to twice as long as thick, has four times as many, since
+    its facets turn along their own skin, and two rows or more: with one it falls over.
     """
-    around = 2 * resolution if half > 2 * radius else max(8 * resolution, _WHEEL)
-    side = tube(radius, half, _rows(radius, half, resolution), around)
+    around, rows = 2 * resolution, _rows(radius, half, resolution)
+    if spins or half <= 2 * radius:
+        around, rows = max(4 * around, _WHEEL), max(2, rows)
+    side = tube(radius, half, rows, around)
     count = max(1, round(resolution / 6))
     return joined([side, disc(radius, half, count), disc(radius, -half, count)])
 

@@ -119,10 +119,7 @@ def restart(time: wp.array(dtype=float), surface: PlainRelief, work: Work):
 
 @wp.kernel(enable_backward=False)
 def begin(
-    time: wp.array(dtype=float),
-    gravity: wp.array(dtype=wp.vec3),
-    surface: PlainRelief,
-    work: Work,
+    time: wp.array(dtype=float), gravity: wp.array(dtype=wp.vec3), surface: PlainRelief, work: Work
 ):
     """Choose the task of each world by the time that has passed."""
     world = wp.tid()
