@@ -12,6 +12,7 @@ from mjgranular.cli.options import FilmOptions, collected, options_of, write_fil
 from mjgranular.errors import GranularError
 from mjgranular.experiment.drop import Drop, DropResult, load, run_drop
 from mjgranular.experiment.folder import RUN_FILES, write_run
+from mjgranular.picture.elements import count
 from mjgranular.picture.figures import draw_drop
 from mjgranular.picture.video import Film, check_camera, frames_of_drop
 
@@ -67,8 +68,9 @@ def _draw(folder: ResultFolder, result: DropResult) -> None:
 
 
 def _show(result: DropResult) -> None:
+    number = count(result.elements, "elements")
     title = (
-        f"{result.drop.title} on {result.medium}: {result.law} law, {result.elements} elements, "
+        f"{result.drop.title} on {result.medium}: {result.law} law, {number}, "
         f"{result.t[-1]:g} s in steps of {result.timestep:g} s"
     )
     headings = ("body", "depth\n[mm]", "force\n[N]", "energy into\nsand [J]", "law held")
