@@ -210,5 +210,6 @@ def _outside(frame: FrameType) -> FrameType:
 
 
 def _is_ours(frame: FrameType) -> bool:
-    package = __name__.partition(".")[0]
-    return str(frame.f_globals.get("__name__")).partition(".")[0] == package
+    # Or a library's between a call of the user and ours: gymnasium.make, a cached property.
+    ours = (__name__.partition(".")[0], "contextlib", "functools", "gymnasium")
+    return str(frame.f_globals.get("__name__")).partition(".")[0] in ours

@@ -335,10 +335,10 @@ def _may_rise(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> bool:
 
 def link_law(case: Case) -> Iterator[str]:
     """Check that the lumped link law is meant, if only the medium has brought it."""
-    named = law_named_in(case.model)
+    named, medium = law_named_in(case.model), getattr(case.spec.medium, "name", case.spec.medium)
     if case.spec.law is None and isinstance(case.law, LinkLaw) and named != case.law.name:
         yield (
-            f"medium {str(case.spec.medium)!r} brings the law 'link', under which free bodies do "
+            f"medium {str(medium)!r} brings the law 'link', under which free bodies do "
             f"not come to rest: use law='link_distributed', or medium={DEFAULT_MEDIUM!r}, or say "
             "law='link' if it is meant"
         )
