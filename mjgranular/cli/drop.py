@@ -76,9 +76,8 @@ def _show(result: DropResult) -> None:
     headings = ("body", "depth\n[mm]", "force\n[N]", "energy into\nsand [J]", "law held")
     rows = []
     for body in result.bodies:
-        held = body.within_validity
         depth = f"{body.greatest_depth * 1e3:.2f}" if body.greatest_depth > 0 else "not met"
-        share = "" if held is None else f"{held:.0%}"
+        share = "" if (held := body.within_validity) is None else f"{held:.0%}"
         energy = f"{body.energy_into_sand + 0.0:.3g}"
         rows.append((body.body, depth, f"{body.greatest_force:.3g}", energy, share))
     out.print(table(title, headings, rows))

@@ -406,6 +406,8 @@ def test_a_window_needs_a_screen(monkeypatch):
     env = SandEnv("ChainSwim", render_mode="human")
     with pytest.raises(RenderError, match="needs a screen"):
         env.reset(seed=0)
+    with pytest.raises(RenderError, match="needs a screen"):  # GLFW would end the process
+        on_sand("Ant-v5", render_mode="human")
 
 
 def test_without_gymnasium_there_is_an_install_line():
