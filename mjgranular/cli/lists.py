@@ -14,7 +14,7 @@ from mjgranular.cli.console import out, print_json, table
 from mjgranular.cli.options import Flag, law_named
 from mjgranular.errors import UnknownNameError
 from mjgranular.law import Law, check_constants, law_in, laws
-from mjgranular.learn.policies import SHIPPED
+from mjgranular.learn import policies
 from mjgranular.medium import get_medium, media
 from mjgranular.sand.material import has_constants
 
@@ -102,10 +102,10 @@ def _facts(law: type[Law]) -> dict[str, str]:
 
 def _policies() -> Listed:
     headings, rows = ("name", "environment", "algorithm", "seed", "steps"), []
-    for file in sorted(SHIPPED.rglob(CONFIG)):
+    for file in sorted(policies.SHIPPED.rglob(CONFIG)):
         run = read_json(file, infinite=True)  # `open_run` imports torch
-        name, steps = file.parent.relative_to(SHIPPED).as_posix(), run["settings"]["total_steps"]
-        run = {**run["settings"], **run, "name": name, "steps": steps}
+        name = file.parent.relative_to(policies.SHIPPED).as_posix()
+        run = {**run["settings"], **run, "name": name, "steps": run["settings"]["total_steps"]}
         rows.append({heading: run[heading] for heading in headings})
     cells = [map(str, row.values()) for row in rows]
     return rows, table("Policies", headings, cells, words=3)
