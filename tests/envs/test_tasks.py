@@ -340,7 +340,7 @@ def test_wrong_input_is_told():
         on_sand("InvertedPendulum-v5")
     with pytest.raises(UnknownNameError, match=r"no medium 'mud'; there are: glass_beads"):
         on_sand("Hopper-v5", medium="mud")
-    with pytest.raises(InputError, match=r"no law 'wet'; there are: depth_velocity"):
+    with pytest.raises(UnknownNameError, match=r"no law 'wet'; there are: depth_velocity"):
         gym.make(id_of("ChainSwim"), law="wet")
     with pytest.raises(UnknownNameError, match=r"no environment 'Chain'; .*ChainC"):
         SandEnv("Chain")
