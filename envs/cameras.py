@@ -22,6 +22,12 @@ def check_camera(model: mujoco.MjModel, name: str | None) -> None:
         raise UnknownNameError("camera", name, known, hint)
 
 
+def check_screen(mode: str | None) -> None:
+    """Check that a window can be opened if one is needed: GLFW would end the process."""
+    if mode == "human" and not opens_window(monitor=True):
+        raise RenderError("render_mode='human' needs a screen; without one use 'rgb_array'")
+
+
 class Cameras:
     """A camera that follows the robot, or one of the model's cameras.
 
@@ -73,21 +79,15 @@ class Cameras:
         if len(set(self._surfaces)) < 2:
             return
         dunes = self._surfaces[sand] == "dunes"
-        for geom in range(model.ngeom):
-            if model.geom_bodyid[geom] == 0:
-                kind = model.geom_type[geom]
-                if kind == mujoco.mjtGeom.mjGEOM_PLANE:
-                    model.geom_rgba[geom, 3] = float(not dunes)
-                elif model.geom(geom).name == DUNES:
-                    model.geom_rgba[geom, 3] = float(dunes)
+        for geom in (model.geom_bodyid == 0).nonzero()[0].tolist():
+            if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE:
+                model.geom_rgba[geom, 3] = float(not dunes)
+            elif model.geom(geom).name == DUNES:
+                model.geom_rgba[geom, 3] = float(dunes)
 
     def _show(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         if self._viewer is None:
-            if not opens_window(monitor=True):  # GLFW would end the process
-                raise RenderError(
-                    "render_mode='human' needs a screen and there is none here: "
-                    "use render_mode='rgb_array'"
-                )
+            check_screen(self.mode)
             from gymnasium.envs.mujoco.mujoco_rendering import MujocoRenderer
 
             look = self._task.camera, self.width, self.height

@@ -101,13 +101,14 @@ class UnknownNameError(GranularError, KeyError):
     `kind` says what is named: "medium", "law", "camera", ...
     """
 
-    def __init__(self, kind: str, name: object, known: Iterable[str], hint: str = "") -> None:
-        self.kind = kind
-        self.name = name
-        self.known = tuple(known)
-        self.hint = hint
-        rest = _known_ones(name, self.known)
-        super().__init__(f"no {kind} {shown(name)}{rest}{hint and ' '}{hint and f'({hint})'}")
+    def __init__(
+        self, kind: str, name: object = None, known: Iterable[str] | None = None, hint: str = ""
+    ) -> None:
+        self.kind, self.name, self.known, self.hint = kind, name, tuple(known or ()), hint
+        if known is not None:  # Gymnasium and others raise an error again, from its message alone
+            rest = _known_ones(name, self.known)
+            kind = f"no {kind} {shown(name)}{rest}{hint and ' '}{hint and f'({hint})'}"
+        super().__init__(kind)
 
     def __str__(self) -> str:  # KeyError would show the message in quotes
         return str(self.args[0])
@@ -117,7 +118,7 @@ class UnknownArgumentError(GranularError, TypeError):
     """An unknown keyword argument of a `call`; the message lists the valid ones."""
 
     def __init__(self, call: str, name: str | None = None, known: Iterable[str] = ()) -> None:
-        if name is not None:  # Gymnasium raises a TypeError again, from a message alone
+        if name is not None:  # otherwise `call` is the message
             call += f" has no argument {shown(name)}{_known_ones(name, tuple(known))}"
         super().__init__(call)
 
@@ -153,10 +154,9 @@ def drawing(what: str = "MuJoCo cannot draw on this machine") -> Iterator[None]:
 class MissingExtraError(GranularError, ImportError):
     """A package that an extra of mjgranular installs is not there; `purpose` needed it."""
 
-    def __init__(self, package: str, extra: str, purpose: str) -> None:
-        super().__init__(
-            f"{purpose} needs {package}, which is not installed: pip install 'mjgranular[{extra}]'"
-        )
+    def __init__(self, package: str, extra: str = "", purpose: str = "") -> None:
+        install = f"which is not installed: pip install 'mjgranular[{extra}]'"
+        super().__init__(f"{purpose} needs {package}, {install}" if extra else package)
 
 
 class GranularWarning(UserWarning):
@@ -210,5 +210,6 @@ def _outside(frame: FrameType) -> FrameType:
 
 
 def _is_ours(frame: FrameType) -> bool:
-    package = __name__.partition(".")[0]
-    return str(frame.f_globals.get("__name__")).partition(".")[0] == package
+    # Or a library's between a call of the user and ours: gymnasium.make, a cached property.
+    ours = (__name__.partition(".")[0], "contextlib", "functools", "gymnasium")
+    return str(frame.f_globals.get("__name__")).partition(".")[0] in ours

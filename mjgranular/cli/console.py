@@ -40,7 +40,7 @@ note = err.print  # remarks
 
 
 def print_json(content: Any) -> None:
-    """Write one JSON value to standard output; infinite numbers, which JSON has not, as words."""
+    """Write one JSON value to standard output; infinities and NaN, which JSON lacks, as strings."""
     json.dump(_with_words(content), sys.stdout, indent=2, allow_nan=False)
     sys.stdout.write("\n")
 
@@ -50,7 +50,7 @@ def _with_words(value: Any) -> Any:
         return {name: _with_words(each) for name, each in value.items()}
     if isinstance(value, list | tuple):
         return [_with_words(each) for each in value]
-    return str(value) if isinstance(value, float) and math.isinf(value) else value
+    return str(value) if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def table(

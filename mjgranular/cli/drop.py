@@ -12,6 +12,7 @@ from mjgranular.cli.options import FilmOptions, collected, options_of, write_fil
 from mjgranular.errors import GranularError
 from mjgranular.experiment.drop import Drop, DropResult, load, run_drop
 from mjgranular.experiment.folder import RUN_FILES, write_run
+from mjgranular.picture.elements import count
 from mjgranular.picture.figures import draw_drop
 from mjgranular.picture.video import Film, check_camera, frames_of_drop
 
@@ -67,16 +68,16 @@ def _draw(folder: ResultFolder, result: DropResult) -> None:
 
 
 def _show(result: DropResult) -> None:
+    number = count(result.elements, "elements")
     title = (
-        f"{result.drop.title} on {result.medium}: {result.law} law, {result.elements} elements, "
+        f"{result.drop.title} on {result.medium}: {result.law} law, {number}, "
         f"{result.t[-1]:g} s in steps of {result.timestep:g} s"
     )
     headings = ("body", "depth\n[mm]", "force\n[N]", "energy into\nsand [J]", "law held")
     rows = []
     for body in result.bodies:
-        held = body.within_validity
         depth = f"{body.greatest_depth * 1e3:.2f}" if body.greatest_depth > 0 else "not met"
-        share = "" if held is None else f"{held:.0%}"
+        share = "" if (held := body.within_validity) is None else f"{held:.0%}"
         energy = f"{body.energy_into_sand + 0.0:.3g}"
         rows.append((body.body, depth, f"{body.greatest_force:.3g}", energy, share))
     out.print(table(title, headings, rows))

@@ -9,6 +9,7 @@ from mjgranular.cli.console import note, out, print_json, table
 from mjgranular.cli.options import OutputOptions, collected, options_of
 from mjgranular.errors import GranularError
 from mjgranular.experiment.intrusion import Intrusion, IntrusionResult, run_intrusion
+from mjgranular.picture.elements import count
 from mjgranular.picture.figures import draw_intrusion
 
 _CSV = "intrusion.csv"
@@ -47,8 +48,8 @@ class IntrudeCommand(OutputOptions, options_of(Intrusion)):
     def _show(self, result: IntrusionResult) -> None:
         rows = result.rows()
         title = (
-            f"{result.intrusion.title} in {self.medium}: {result.law} law, {result.elements} "
-            "elements"
+            f"{result.intrusion.title} in {self.medium}: {result.law} law, "
+            f"{count(result.elements, 'elements')}"
         )
         headings = ("travelled\n[mm]", "depth\n[mm]", "resistance\n[N]", "lift\n[N]")
         step = max(1, (len(rows) - 1) // (_ROWS_SHOWN - 1))

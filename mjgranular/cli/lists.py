@@ -8,11 +8,13 @@ import tyro
 from rich.markdown import Markdown
 
 from mjgranular._util.checks import check_name
+from mjgranular._util.io import read_json
+from mjgranular._util.result_folder import CONFIG
 from mjgranular.cli.console import out, print_json, table
 from mjgranular.cli.options import Flag, law_named
 from mjgranular.errors import UnknownNameError
 from mjgranular.law import Law, check_constants, law_in, laws
-from mjgranular.learn.policies import shipped_policies
+from mjgranular.learn import policies
 from mjgranular.medium import get_medium, media
 from mjgranular.sand.material import has_constants
 
@@ -99,18 +101,13 @@ def _facts(law: type[Law]) -> dict[str, str]:
 
 
 def _policies() -> Listed:
-    rows = [
-        {
-            "name": name,
-            "environment": run.environment,
-            "algorithm": run.settings.algorithm,
-            "seed": run.seed,
-            "steps": run.settings.total_steps,
-        }
-        for name, run in shipped_policies().items()
-    ]
+    headings, rows = ("name", "environment", "algorithm", "seed", "steps"), []
+    for file in sorted(policies.SHIPPED.rglob(CONFIG)):
+        run = read_json(file, infinite=True)  # `open_run` imports torch
+        name = file.parent.relative_to(policies.SHIPPED).as_posix()
+        run = {**run["settings"], **run, "name": name, "steps": run["settings"]["total_steps"]}
+        rows.append({heading: run[heading] for heading in headings})
     cells = [map(str, row.values()) for row in rows]
-    headings = ("name", "environment", "algorithm", "seed", "steps")
     return rows, table("Policies", headings, cells, words=3)
 
 

@@ -54,7 +54,7 @@ class RenderCommand(options_of(Film, "seconds", "width", "height", "fps")):
                 f"a film is of an impact, drop or training run; {self.run_folder} is of '{command}'"
             )
         target = self.out or self.run_folder / _DEFAULT_FILES[command]
-        if target.suffix != ".mp4":
+        if target.suffix.lower() != ".mp4":
             raise InputError(f"a film must be written as .mp4, got {target.name!r}")
         if command != TRAINING and (self.on or self.seed is not None):
             raise InputError(f"--on and --seed are for training runs, got {self.run_folder}")

@@ -138,7 +138,7 @@ def named(key: str) -> Iterator[None]:
     try:
         yield
     except GranularError as error:
-        raise InputError(f"config {key!r}: {error}") from None
+        raise type(error)(f"config {key!r}: {error}") from None
 
 
 def _read_resolution(text: str) -> int:

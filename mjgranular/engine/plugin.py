@@ -209,7 +209,7 @@ def _check_struct(lib: ctypes.CDLL) -> None:
     memory = (ctypes.c_ubyte * 1024)(*([0xFF] * 1024))
     lib.mjp_defaultPlugin(ctypes.addressof(memory))
     if bytes(memory).find(0xFF) != ctypes.sizeof(PluginStruct):
-        raise LayoutError("mjpPlugin")
+        raise LayoutError.of("mjpPlugin")
 
 
 def _count_state(model: int, instance: int, place: int) -> None:

@@ -5,6 +5,7 @@ import re
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from typing import Self
 
 from mjgranular.errors import GranularError
 
@@ -15,14 +16,16 @@ class KernelError(GranularError, TypeError):
     numba's long message is its cause.
     """
 
-    def __init__(self, error: BaseException, what: str) -> None:
+    @classmethod
+    def of(cls, error: BaseException, what: str) -> Self:
+        """Return the short one of an error of numba; `what` was to be compiled."""
         lines = [_COLORS.sub("", line).strip() for line in str(error).splitlines()]
         reason = next((line for line in lines if line and not line.startswith(_NO_REASON)), "")
         place = next(filter(None, map(_PLACE.search, lines)), None)
         where = f", in {place[1]}, line {place[2]}" if place else ""
         if isinstance(error, KeyError):  # numba names the attribute and nothing else
             reason = f"no record that they read has a field {reason}"
-        super().__init__(
+        return cls(
             f"numba cannot compile the kernels{what and ' for '}{what}: "
             f"{type(error).__name__}: {reason}{where}"
         )
@@ -41,7 +44,7 @@ def compiling(what: str = "") -> Iterator[None]:
     except (GranularError, MemoryError):
         raise
     except Exception as error:
-        raise KernelError(error, what) from error
+        raise KernelError.of(error, what) from error
 
 
 ONCE = "once on a machine, up to a minute"

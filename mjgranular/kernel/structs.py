@@ -7,7 +7,7 @@ is trusted once it agrees with what Python shows of the same memory (`check_layo
 import ctypes
 from collections.abc import Iterator
 from functools import cache
-from typing import Any
+from typing import Any, Self
 
 import mujoco
 import numpy as np
@@ -55,8 +55,10 @@ _PROBE = """
 class LayoutError(GranularError, RuntimeError):
     """A struct of this version of MuJoCo is not laid out as MuJoCo describes it."""
 
-    def __init__(self, what: str) -> None:
-        super().__init__(
+    @classmethod
+    def of(cls, what: str) -> Self:
+        """Return the error for a struct."""
+        return cls(
             f"{what} of MuJoCo {mujoco.__version__} is not laid out as described; tested versions "
             f"of MuJoCo: {', '.join(TESTED)}. Sand(model, scheme='explicit').step(data) reads the "
             "least of MuJoCo's memory"
@@ -109,11 +111,11 @@ def check_layout(struct: str) -> None:
     """Compare the description of a struct with what Python shows of one."""
     try:
         if not all(_agrees(*example) for example in _examples(struct)):
-            raise LayoutError(struct)
+            raise LayoutError.of(struct)
     except (GranularError, MemoryError, OSError):
         raise
     except Exception as error:
-        raise LayoutError(f"{struct} ({error!r})") from error
+        raise LayoutError.of(f"{struct} ({error!r})") from error
 
 
 def _record(fields: Any) -> np.dtype:

@@ -191,7 +191,7 @@ def check_seeds(seeds: int, first_seed: int = FIRST_SEED) -> None:
 
 
 def parse_variant(text: str) -> dict[str, Any]:
-    """Return the arguments of an environment from `name=value,name=value`; values as in TOML."""
+    """Return the arguments of an environment from `name=value,name=value`; in TOML, or None."""
     arguments: dict[str, Any] = {}
     for part in _split_at_commas(text):
         name, equals, value = part.partition("=")

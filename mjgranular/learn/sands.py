@@ -14,7 +14,7 @@ import mujoco
 
 from mjgranular.engine.config import write_config
 from mjgranular.engine.instances import material_in, sands_in
-from mjgranular.errors import GranularWarning, InputError
+from mjgranular.errors import GranularError, GranularWarning
 from mjgranular.law import Law
 from mjgranular.learn import environments
 from mjgranular.medium import Medium
@@ -67,7 +67,7 @@ def _in_mjcf(name: str, part: Any) -> str:
     """Return a surface or a memory as written in MJCF, a custom one by the name of its class."""
     try:
         return write_config(SandSpec(**{name: part}))[name]
-    except InputError:
+    except GranularError:
         return type(part).__name__
 
 

@@ -194,9 +194,9 @@ def settings_file(env_id: str) -> Path:
 
 
 def toml_value(text: str) -> Any:
-    """Parse a TOML value; a bare word is a string."""
+    """Parse a TOML value, or None; another bare word is a string."""
     try:
-        return tomllib.loads(f"value = {text}")["value"]
+        return None if text.strip() == "None" else tomllib.loads(f"value = {text}")["value"]
     except (ValueError, RecursionError):
         return text.strip()
 

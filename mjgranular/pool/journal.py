@@ -150,4 +150,4 @@ def _difference(there: Any, asked: Mapping[str, Any]) -> str:
 
 
 def _line(content: Mapping[str, Any]) -> bytes:
-    return (json.dumps(content, allow_nan=False) + "\n").encode()
+    return (json.dumps(content) + "\n").encode()

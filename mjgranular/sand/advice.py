@@ -128,8 +128,8 @@ def contacts(case: Case, data: mujoco.MjData) -> Iterator[str]:
 
 
 SHARE = 0.15
-"""Radius of a point, at most, in parts of the radius of what is drawn of its body. The four spheres
-under a humanoid's foot have 0.04; the smallest true foot, a ball at the end of a shin, has 0.2."""
+"""Size of a point, at most, in parts of the size of what is drawn of its body. The four spheres
+under a humanoid's foot have 0.05; the smallest true foot, a ball at the end of a shin, has 0.2."""
 
 
 def find_points(model: mujoco.MjModel, geoms: Sequence[int]) -> dict[int, list[int]]:
@@ -137,6 +137,8 @@ def find_points(model: mujoco.MjModel, geoms: Sequence[int]) -> dict[int, list[i
 
     Return the largest geom that is drawn of each, with those that meet the sand.
     """
+    # Not `geom_rbound`, which is that from a mesh's centroid.
+    sizes = [max(half_extents(model, geom)) for geom in range(model.ngeom)]
     members: dict[int, list[int]] = {}
     for geom in geoms:
         members.setdefault(int(model.geom_bodyid[geom]), []).append(geom)
@@ -144,8 +146,8 @@ def find_points(model: mujoco.MjModel, geoms: Sequence[int]) -> dict[int, list[i
     for body, mine in members.items():
         first, count = int(model.body_geomadr[body]), int(model.body_geomnum[body])
         drawn = [g for g in range(first, first + count) if g not in mine and not collides(model, g)]
-        largest = max(drawn, key=lambda g: model.geom_rbound[g], default=mine[0])
-        if max(model.geom_rbound[mine]) < SHARE * model.geom_rbound[largest]:
+        largest = max(drawn, key=sizes.__getitem__, default=mine[0])
+        if max(sizes[geom] for geom in mine) < SHARE * sizes[largest]:
             found[largest] = mine
     return found
 
@@ -333,10 +335,10 @@ def _may_rise(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> bool:
 
 def link_law(case: Case) -> Iterator[str]:
     """Check that the lumped link law is meant, if only the medium has brought it."""
-    named = law_named_in(case.model)
+    named, medium = law_named_in(case.model), getattr(case.spec.medium, "name", case.spec.medium)
     if case.spec.law is None and isinstance(case.law, LinkLaw) and named != case.law.name:
         yield (
-            f"medium {str(case.spec.medium)!r} brings the law 'link', under which free bodies do "
+            f"medium {str(medium)!r} brings the law 'link', under which free bodies do "
             f"not come to rest: use law='link_distributed', or medium={DEFAULT_MEDIUM!r}, or say "
             "law='link' if it is meant"
         )

@@ -96,6 +96,8 @@ def test_a_medium_that_brings_the_link_law_warns():
     model = model_of(LINK)
     with pytest.warns(GranularWarning, match=r"do not come to rest.*link_distributed"):
         assert chosen(model, medium="play_sand") == OF_LINKS
+    with pytest.warns(GranularWarning, match=r"^medium 'play_sand' brings the law 'link'"):
+        assert chosen(model, medium=media["play_sand"]) == OF_LINKS
     assert chosen(model, medium="play_sand", law="link") == OF_LINKS
     assert chosen(model_of(LINK, MARK), medium="play_sand") == OF_LINKS
 

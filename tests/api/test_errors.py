@@ -22,6 +22,7 @@ from mjgranular.errors import (
 )
 from mjgranular.kernel import compiled
 from mjgranular.kernel.compiler import KernelError
+from mjgranular.kernel.structs import LayoutError
 from mjgranular.kernel.vector import Vector, diagonal
 from mjgranular.models import Link, model_path
 
@@ -379,6 +380,12 @@ def test_every_law_says_what_it_is_and_where_from():
         assert law.citation
 
 
+@pytest.mark.parametrize("field", ["medium", "law", "surface", "scheme"])
+def test_sand_within_a_step_raises_the_same_class_for_an_unknown_name(field):
+    with pytest.raises(UnknownNameError, match=rf"no {field} 'wet'; there are: "):
+        mg.add_sand(mujoco.MjSpec(), **{field: "wet"})
+
+
 # The classes
 
 
@@ -392,7 +399,8 @@ def test_every_law_says_what_it_is_and_where_from():
         (OutputError("d"), OSError),
         (RenderError("e"), RuntimeError),
         (MissingExtraError("matplotlib", "figures", "a figure"), ImportError),
-        (KernelError(KeyError("k"), "law mud"), TypeError),
+        (LayoutError.of("mjpPlugin"), RuntimeError),
+        (KernelError.of(KeyError("k"), "law mud"), TypeError),
     ],
 )
 class TestClasses:
@@ -405,6 +413,12 @@ class TestClasses:
         assert type(again) is type(error)
         assert str(again) == str(error)
         assert vars(again) == vars(error)
+
+    @pytest.mark.parametrize("message", [str, lambda error: error])  # Gymnasium gives the error
+    def test_is_raised_again_from_its_message(self, error, builtin, message):
+        again = type(error)(message(error))
+        assert str(again) == str(error)
+        assert str(pickle.loads(pickle.dumps(again))) == str(error)
 
 
 @pytest.mark.parametrize(

@@ -97,6 +97,13 @@ def test_import_is_light():
         assert package not in loaded
 
 
+def test_policies_are_listed_without_torch():
+    code = "import sys; from mjgranular.cli import main; main(['list', 'policies', '--json'])"
+    loaded = python(f"{code}; print(*sys.modules)").split()
+    assert "torch" not in loaded
+    assert '"Hopper-v0/ppo-0",' in loaded
+
+
 def test_environments_are_registered_where_gymnasium_is_imported():
     make = "gymnasium.make('{}mjgranular/LinkDrop-v0').close()"
     python("import gymnasium, mjgranular; " + make.format(""))

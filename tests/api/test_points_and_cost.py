@@ -88,6 +88,17 @@ def test_a_ball_for_a_foot_is_a_foot(size):
     assert not find_points(model, [0])
 
 
+def test_a_ball_under_a_long_cone_is_not_a_point():
+    # A mesh's bounding radius is that from its centroid: of a cone 3/4 of its height.
+    model = mujoco.MjModel.from_xml_string(
+        """<mujoco><asset><mesh name="cone" vertex="-.1 -.1 0 .1 -.1 0 .1 .1 0 -.1 .1 0 0 0 .8"/>
+        </asset><worldbody><body pos="0 0 1"><freejoint/><geom size=".075"/>
+        <geom type="mesh" mesh="cone" contype="0" conaffinity="0" mass="0"/></body>
+        </worldbody></mujoco>"""
+    )
+    assert not find_points(model, [0])
+
+
 def test_geoms_by_number_in_python_mjcf_and_on_the_command_line(robot, tmp_path, capsys):
     expected = len(Sand(robot, geoms=[SOLES[0]]).elements)
     assert len(Sand(robot, geoms="1").elements) == expected

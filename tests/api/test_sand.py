@@ -553,3 +553,13 @@ def test_warnings_point_at_the_users_line(depth):
     assert warning.category is GranularWarning
     assert str(warning.message) == "mind this"
     assert (warning.filename, warning.lineno) == ("mjgranular_user.py", 3)
+
+
+@pytest.mark.parametrize("library", ["functools", "contextlib", "gymnasium.envs.registration"])
+def test_warnings_point_beyond_what_calls_this_package_for_the_user(library):
+    inner = module("mjgranular.inner", "def dig(_):\n    warn_user('mind this')")
+    between = module(library, "def make(dig):\n    dig(0)")
+    user = module("user", "def use(make, dig):\n\n    make(dig)")
+    with pytest.warns(GranularWarning) as caught:
+        user.use(between.make, inner.dig)
+    assert (caught[0].filename, caught[0].lineno) == ("user.py", 3)

@@ -322,7 +322,7 @@ def test_wrong_input_is_told():
         SandEnv("Hopper", curriculum=lambda episode: SandRanges())
     with pytest.raises(InputError, match="observe_sand needs randomise"):
         SandEnv("Hopper", observe_sand=True)
-    with pytest.raises(InputError, match="no constants in medium 'play_sand' for law 'rft3d'"):
+    with pytest.raises(UnknownNameError, match="no constants in medium 'play_sand' for law"):
         SandEnv("Hopper", randomise=SandRanges(media=("play_sand",), laws=("rft3d",)))
     env = SandEnv(
         "ChainSwim",

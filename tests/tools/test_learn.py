@@ -199,9 +199,12 @@ def test_options_of_an_environment_may_be_infinite(tmp_path):
     assert open_run(tmp_path / "run").settings == settings
 
 
-def test_json_on_standard_output_has_words_for_infinite_numbers(capfd):
-    print_json({"g": [math.inf, -math.inf, 1.5], "a": {"b": True}})
-    assert json.loads(capfd.readouterr().out) == {"g": ["inf", "-inf", 1.5], "a": {"b": True}}
+def test_json_on_standard_output_has_words_for_numbers_that_are_not_finite(capfd):
+    print_json({"g": [math.inf, -math.inf, math.nan, 1.5], "a": {"b": True}})
+    assert json.loads(capfd.readouterr().out) == {
+        "g": ["inf", "-inf", "nan", 1.5],
+        "a": {"b": True},
+    }
 
 
 def test_means_are_over_as_many_episodes_as_there_are_environments():
@@ -672,10 +675,11 @@ def test_a_training_run_is_filmed(tmp_path):
 
 
 def test_variants_are_read_as_toml():
-    assert parse_variant("medium=glass_beads, a=[1, 2],b=3") == {
+    assert parse_variant("medium=glass_beads, a=[1, 2],b=3,c=None") == {
         "medium": "glass_beads",
         "a": [1, 2],
         "b": 3,
+        "c": None,
     }
 
 

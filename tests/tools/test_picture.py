@@ -69,7 +69,7 @@ def test_the_surface_is_drawn_where_the_physics_has_it():
 
 def test_render_makes_a_film_of_a_saved_run(saved, tmp_path, capfd):
     imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
-    path = tmp_path / "films" / "close.mp4"
+    path = tmp_path / "films" / "close.MP4"
     arguments = ["render", str(saved), "--camera", "close", "--out", str(path)]
     small = ["--seconds", "1", "--width", "320", "--height", "240"]
     assert main([*arguments, *small]) == 0
@@ -79,7 +79,7 @@ def test_render_makes_a_film_of_a_saved_run(saved, tmp_path, capfd):
     capfd.readouterr()
     assert main([*arguments, *small]) == 2
     assert "--overwrite" in capfd.readouterr().err
-    assert [file.name for file in path.parent.iterdir()] == ["close.mp4"]
+    assert [file.name for file in path.parent.iterdir()] == ["close.MP4"]
 
 
 @pytest.mark.parametrize(

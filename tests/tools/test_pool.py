@@ -1,6 +1,7 @@
 """Tasks on workers: order, failures, workers that die, runs that go on. On Ray: `test_ray.py`."""
 
 import json
+import math
 import multiprocessing
 import operator
 import os
@@ -33,6 +34,12 @@ def test_a_task_that_raises_is_told_and_the_others_are_there():
     mapped = map_tasks(operator.call, ["0", "__import__('sys').exit(3)", "2"], shared=eval, on=HERE)
     assert results(mapped) == [0, 2]
     assert mapped.failures[0].reason == "SystemExit: 3"
+
+
+def test_a_result_may_be_nan():
+    first, second = results(map_tasks(operator.mul, [math.nan, math.inf], shared=1.0, on=HERE))
+    assert math.isnan(first)
+    assert second == math.inf
 
 
 def test_an_interruption_keeps_what_is_done_and_a_journal_goes_on(tmp_path):
