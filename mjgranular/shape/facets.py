@@ -4,7 +4,7 @@ import copy
 import math
 from collections.abc import Iterator, Sequence
 from itertools import product
-from typing import Literal
+from typing import Any, Literal
 
 import mujoco
 import numpy as np
@@ -98,7 +98,7 @@ def facets_from_model(
             width = sizes.geom_width(model, geom)
             flat = patches.flatness(facets.points, facets.normals, facets.areas, width)
         else:
-            skin = _skin(model, geom, fine, _spins(model, data, geom))
+            skin = _skin(model, data, geom, fine)
             if hidden == "drop":
                 skin = skin.only(~hidden_skin(model, data, geom, skin, ordered))
             facets = skin.gathered()
@@ -181,9 +181,7 @@ def hidden_skin(
     return hidden
 
 
-def _turned(
-    model: mujoco.MjModel, joint: int, axis: np.ndarray, arms: np.ndarray
-) -> Iterator[np.ndarray]:
+def _turned(model: mujoco.MjModel, joint: int, axis: np.ndarray, arms: np.ndarray) -> Iterator[Any]:
     """Yield vectors from a joint [m] in positions all round it; none if its limits prevent them."""
     is_hinge = model.jnt_type[joint] == _HINGE
     span = (1 - 1 / _TURNS) * math.pi * (1 + is_hinge)  # limits of a ball joint are from 0
@@ -230,23 +228,19 @@ def _inside(model: mujoco.MjModel, geom: int, points: np.ndarray) -> np.ndarray:
     return np.zeros(len(points), bool)
 
 
-def _spins(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> bool:
-    """Return whether a geom turns about its own z axis on a hinge, as a wheel or a roller does."""
-    is_own = model.jnt_bodyid == model.body_weldid[model.geom_bodyid[geom]]
-    axes = data.xaxis[is_own & (model.jnt_type == _HINGE)]
-    return bool((abs(axes @ data.geom_xmat[geom, 2::3]) > 0.99).any())
-
-
-def _skin(model: mujoco.MjModel, geom: int, resolution: int, spins: bool) -> Cells:
-    shapes = {
-        _GEOM.mjGEOM_SPHERE: lambda s: tessellation.ellipsoid((s[0], s[0], s[0]), resolution),
-        _GEOM.mjGEOM_ELLIPSOID: lambda s: tessellation.ellipsoid((s[0], s[1], s[2]), resolution),
-        _GEOM.mjGEOM_CAPSULE: lambda s: tessellation.capsule(s[0], s[1], resolution),
-        _GEOM.mjGEOM_CYLINDER: lambda s: tessellation.cylinder(s[0], s[1], resolution, spins),
-        _GEOM.mjGEOM_BOX: lambda s: tessellation.box((s[0], s[1], s[2]), resolution),
-    }
-    shape = shapes.get(_GEOM(int(model.geom_type[geom])))
-    if shape is None:
+def _skin(model: mujoco.MjModel, data: mujoco.MjData, geom: int, resolution: int) -> Cells:
+    size, kind = model.geom_size[geom], int(model.geom_type[geom])
+    if not int(_GEOM.mjGEOM_SPHERE) <= kind <= int(_GEOM.mjGEOM_BOX):
         raise sizes.type_error(model, geom)
     sizes.check_size(model, geom)
-    return shape(model.geom_size[geom])
+    if kind in (_GEOM.mjGEOM_SPHERE, _GEOM.mjGEOM_ELLIPSOID):
+        return tessellation.ellipsoid(tuple(sizes.half_extents(model, geom)), resolution)
+    if kind == _GEOM.mjGEOM_CAPSULE:
+        return tessellation.capsule(size[0], size[1], resolution)
+    if kind == _GEOM.mjGEOM_BOX:
+        return tessellation.box(tuple(size), resolution)
+    # A wheel or roller turns about its own z axis on a hinge.
+    is_own = model.jnt_bodyid == model.body_weldid[model.geom_bodyid[geom]]
+    axes = data.xaxis[is_own & (model.jnt_type == _HINGE)]
+    spins = bool((abs(axes @ data.geom_xmat[geom, 2::3]) > 0.99).any())
+    return tessellation.cylinder(size[0], size[1], resolution, spins)
