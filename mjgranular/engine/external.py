@@ -48,13 +48,11 @@ def add_wrenches_of(header):
 @compiled
 def remove_wrenches_of(header):
     """Restore what `add_wrenches_of` saved."""
-    table = table_at(header.table)
-    bodies = bodies_of(table)
+    bodies = bodies_of(table_at(header.table))
     for slot in range(len(bodies)):
-        body = bodies[slot]
-        row = row_of(header.xfrc, body.body, 6)
+        row = row_of(header.xfrc, bodies[slot].body, 6)
         for k in range(6):
-            row[k] = body.user_wrench[k]
+            row[k] = bodies[slot].user_wrench[k]
 
 
 @compiled

@@ -10,7 +10,7 @@ import hashlib
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -142,13 +142,9 @@ class Loader:
         texts = config_texts(model, instance, config.SENSOR_KEYS)
         sand = sensor.find_sand(texts["sand"], sands)
         prepared = self._prepare(model, sand)
+        array = partial(_array, model)
         readings = sensor.make_readings(
-            instance,
-            sand,
-            texts["measure"],
-            lambda name: _array(model, name),
-            prepared.bodies,
-            prepared.geoms,
+            instance, sand, texts["measure"], array, prepared.bodies, prepared.geoms
         )
         head = np.zeros(1, HEADER_DTYPE)
         head["size"] = head.nbytes + readings.nbytes

@@ -196,15 +196,8 @@ def describe(
                 found=found,
             )
         )
-    return Report(
-        time=float(data.time),
-        bodies=tuple(bodies),
-        elements=table,
-        names=names,
-        medium=sand.medium.name,
-        law=sand.law.name,
-        solver=solver,
-    )
+    named = (names, sand.medium.name, sand.law.name)
+    return Report(float(data.time), tuple(bodies), table, *named, solver)
 
 
 def _element_records(

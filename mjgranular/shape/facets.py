@@ -2,8 +2,9 @@
 
 import copy
 import math
-from collections.abc import Sequence
-from typing import Literal
+from collections.abc import Iterator, Sequence
+from itertools import product
+from typing import Any, Literal
 
 import mujoco
 import numpy as np
@@ -37,7 +38,7 @@ FINEST = 200
 
 _TOUCH = 1e-6  # share of a geom's size within which surfaces coincide; chosen: far above rounding
 _FLAT = 1e-9  # change of a normal that is rounding; chosen
-_TURNS = 16  # positions around a hinge that turns all round; chosen
+_TURNS = 16  # positions around a hinge; less of a turn between limits is not all round; chosen
 
 _GEOM, _HINGE = mujoco.mjtGeom, int(mujoco.mjtJoint.mjJNT_HINGE)
 
@@ -97,7 +98,7 @@ def facets_from_model(
             width = sizes.geom_width(model, geom)
             flat = patches.flatness(facets.points, facets.normals, facets.areas, width)
         else:
-            skin = _skin(model, geom, fine, _spins(model, data, geom))
+            skin = _skin(model, data, geom, fine)
             if hidden == "drop":
                 skin = skin.only(~hidden_skin(model, data, geom, skin, ordered))
             facets = skin.gathered()
@@ -142,14 +143,14 @@ def hidden_skin(
     A geom hides what is inside it on its own body, and on bodies welded to it. On a body connected
     to its own by hinge or ball joints, parent or child, it hides what is inside it at `qpos0`, the
     pose of `data`, and no farther from the joint than half its width: that stays there, roughly, as
-    the joint turns; a hinge that turns all round, as a wheel's does, hides only what stays inside.
-    A slide joint hides nothing. Where two surfaces coincide and face the same way, that of the
-    lower id is kept, or that of no mesh; else none. A mesh hides only its copy.
+    the joint turns; if it turns all round (`_turned`), only what stays inside. A slide joint hides
+    nothing. Where two surfaces coincide and face the same way, that of the lower id is kept, or
+    that of no mesh; else none. A mesh hides only its copy.
     """
     hidden = np.zeros(len(skin.points), bool)
     is_mesh = int(model.geom_type[geom]) == _GEOM.mjGEOM_MESH
     poses = np.hstack([data.geom_xpos, data.geom_xmat])
-    turn, quat, matrix = data.geom_xmat[geom].reshape(3, 3), np.zeros(4), np.zeros(9)
+    turn = data.geom_xmat[geom].reshape(3, 3)
     # Cells without area have no normal and are not used; what is too far to compute hides nothing.
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
         points, vectors = skin.points @ turn.T + data.geom_xpos[geom], skin.vectors @ turn.T
@@ -170,17 +171,30 @@ def hidden_skin(
             if other < geom or is_mesh:
                 covered |= _inside(model, other, (points - step - place) @ back)
             for joint in joints:
-                anchor, reach = data.xanchor[joint], (0.5 + _TOUCH) * sizes.geom_width(model, other)
-                covered &= np.linalg.norm(points - anchor, axis=1) <= reach
-                mujoco.mju_axisAngle2Quat(quat, data.xaxis[joint], 2 * math.pi / _TURNS)
-                mujoco.mju_quat2Mat(matrix, quat)
-                arm = points - step - anchor
-                limited = model.jnt_limited[joint] and np.ptp(model.jnt_range[joint]) <= 2 * math.pi
-                for _ in range(0 if limited or model.jnt_type[joint] != _HINGE else _TURNS):
-                    arm = arm @ matrix.reshape(3, 3)
-                    covered &= _inside(model, other, (arm + anchor - place) @ back)
+                away, reach = points - data.xanchor[joint], 0.5 * sizes.geom_width(model, other)
+                covered &= np.linalg.norm(away, axis=1) <= (1 + _TOUCH) * reach
+                kept = np.flatnonzero(covered)
+                hub, arms = (data.xanchor[joint] - place) @ back, (away - step)[kept] @ back
+                for turned in _turned(model, joint, data.xaxis[joint] @ back, arms):
+                    covered[kept] &= _inside(model, other, hub + turned)
             hidden |= covered
     return hidden
+
+
+def _turned(model: mujoco.MjModel, joint: int, axis: np.ndarray, arms: np.ndarray) -> Iterator[Any]:
+    """Yield vectors from a joint [m] in positions all round it; none if its limits prevent them."""
+    is_hinge = model.jnt_type[joint] == _HINGE
+    span = (1 - 1 / _TURNS) * math.pi * (1 + is_hinge)  # limits of a ball joint are from 0
+    if model.jnt_limited[joint] and np.ptp(model.jnt_range[joint]) < span:
+        return
+    if not is_hinge:
+        length = np.linalg.norm(arms, axis=1)[:, None]
+        ways = product((-1, 0, 1), repeat=3)
+        yield from (length * way / math.hypot(*way) for way in ways if any(way))
+        return
+    along, beside = np.outer(arms @ axis, axis), np.cross(axis, arms)
+    for angle in 2 * math.pi / _TURNS * np.arange(_TURNS):
+        yield along + math.cos(angle) * (arms - along) + math.sin(angle) * beside
 
 
 def _joints_between(model: mujoco.MjModel, geom: int, other: int) -> list[int] | None:
@@ -214,23 +228,19 @@ def _inside(model: mujoco.MjModel, geom: int, points: np.ndarray) -> np.ndarray:
     return np.zeros(len(points), bool)
 
 
-def _spins(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> bool:
-    """Return whether a geom turns about its own z axis on a hinge, as a wheel or a roller does."""
-    is_own = model.jnt_bodyid == model.body_weldid[model.geom_bodyid[geom]]
-    axes = data.xaxis[is_own & (model.jnt_type == _HINGE)]
-    return bool((abs(axes @ data.geom_xmat[geom, 2::3]) > 0.99).any())
-
-
-def _skin(model: mujoco.MjModel, geom: int, resolution: int, spins: bool) -> Cells:
-    shapes = {
-        _GEOM.mjGEOM_SPHERE: lambda s: tessellation.ellipsoid((s[0], s[0], s[0]), resolution),
-        _GEOM.mjGEOM_ELLIPSOID: lambda s: tessellation.ellipsoid((s[0], s[1], s[2]), resolution),
-        _GEOM.mjGEOM_CAPSULE: lambda s: tessellation.capsule(s[0], s[1], resolution),
-        _GEOM.mjGEOM_CYLINDER: lambda s: tessellation.cylinder(s[0], s[1], resolution, spins),
-        _GEOM.mjGEOM_BOX: lambda s: tessellation.box((s[0], s[1], s[2]), resolution),
-    }
-    shape = shapes.get(_GEOM(int(model.geom_type[geom])))
-    if shape is None:
+def _skin(model: mujoco.MjModel, data: mujoco.MjData, geom: int, resolution: int) -> Cells:
+    size, kind = model.geom_size[geom], int(model.geom_type[geom])
+    if not int(_GEOM.mjGEOM_SPHERE) <= kind <= int(_GEOM.mjGEOM_BOX):
         raise sizes.type_error(model, geom)
     sizes.check_size(model, geom)
-    return shape(model.geom_size[geom])
+    if kind in (_GEOM.mjGEOM_SPHERE, _GEOM.mjGEOM_ELLIPSOID):
+        return tessellation.ellipsoid(tuple(sizes.half_extents(model, geom)), resolution)
+    if kind == _GEOM.mjGEOM_CAPSULE:
+        return tessellation.capsule(size[0], size[1], resolution)
+    if kind == _GEOM.mjGEOM_BOX:
+        return tessellation.box(tuple(size), resolution)
+    # A wheel or roller turns about its own z axis on a hinge.
+    is_own = model.jnt_bodyid == model.body_weldid[model.geom_bodyid[geom]]
+    axes = data.xaxis[is_own & (model.jnt_type == _HINGE)]
+    spins = bool((abs(axes @ data.geom_xmat[geom, 2::3]) > 0.99).any())
+    return tessellation.cylinder(size[0], size[1], resolution, spins)

@@ -75,10 +75,9 @@ def half_extents(model: mujoco.MjModel, geom: int) -> np.ndarray:
     kind = int(model.geom_type[geom])
     if kind == _GEOM.mjGEOM_SPHERE:
         return np.full(3, size[0])
-    if kind == _GEOM.mjGEOM_CAPSULE:
-        return np.array([size[0], size[0], size[1] + size[0]])
-    if kind == _GEOM.mjGEOM_CYLINDER:
-        return np.array([size[0], size[0], size[1]])
+    if kind in (_GEOM.mjGEOM_CAPSULE, _GEOM.mjGEOM_CYLINDER):
+        cap = size[0] if kind == _GEOM.mjGEOM_CAPSULE else 0.0
+        return np.array([size[0], size[0], size[1] + cap])
     if kind == _GEOM.mjGEOM_MESH:
         return model.geom_aabb[geom, 3:]
     return size

@@ -1274,17 +1274,39 @@ def test_a_wheel_is_steered_in_place_as_with_fine_facets(resolution):
     assert np.mean(moments) == pytest.approx(fine, rel=0.2)
 
 
-@pytest.mark.parametrize("limits", ["", 'range="-720 720"'])
-def test_a_fender_hides_nothing_of_a_wheel_that_turns(limits):
+ALL_ROUND = {
+    "free": 'axis="0 1 0"',
+    "two turns": 'axis="0 1 0" range="-720 720"',
+    "half a turn each way": 'axis="0 1 0" range="-180 180"',
+    "nearly": 'axis="0 1 0" range="-175 175"',
+    "ball": 'type="ball"',
+    "limited ball": 'type="ball" range="0 175"',
+}
+
+
+@pytest.mark.parametrize("joint", ALL_ROUND)
+def test_a_fender_hides_nothing_of_a_wheel_that_turns(joint):
     # The upper part of the wheel is inside the chassis.
     model = mujoco.MjModel.from_xml_string(f"""
     <mujoco><worldbody><body><freejoint/><geom type="box" size=".3 .2 .04" pos="0 0 .08"/>
-      <body><joint axis="0 1 0" {limits}/>
+      <body><joint {ALL_ROUND[joint]}/>
         <geom type="cylinder" size=".1 .03" euler="90 0 0"/></body>
     </body></worldbody></mujoco>""")
     wheel = facets_from_model(model, [1])["area"].sum()
     both = facets_from_model(model, [0, 1])
     assert both["area"][both["geom"] == 1].sum() == pytest.approx(wheel)
+
+
+def test_skin_between_capsules_is_hidden_by_joints_that_turn_all_round():
+    areas = []
+    for joint in ('type="ball"', 'axis="0 1 0"', 'axis="0 1 0" range="-90 90"'):
+        rod = 'geom type="capsule" size=".02" fromto="0 0 0 .1 0 0"/'
+        model = mujoco.MjModel.from_xml_string(
+            f"<mujoco><worldbody><body><freejoint/><{rod}>"
+            f'<body pos=".1 0 0"><joint {joint}/><{rod}></body></body></worldbody></mujoco>'
+        )
+        areas.append(facets_from_model(model, [0, 1])["area"].sum())
+    assert areas == pytest.approx([areas[-1]] * 3)
 
 
 def test_what_stays_in_the_chassis_as_a_wheel_turns_is_hidden():
