@@ -60,7 +60,7 @@ class Memory:
                 raise InputError(
                     f"the memory's {name} must be a number above 0{end}, not {shown(value)}"
                 )
-        if isinstance(self.heap, bool) or not (is_finite(self.heap) and 0 <= self.heap <= 1):
+        if not (is_finite(self.heap) and 0 <= self.heap <= 1):
             raise InputError(f"the memory's heap must be from 0 to 1, not {shown(self.heap)}")
         if not self.side / self.cell <= MOST_CELLS:
             count = self.side / self.cell
