@@ -7,7 +7,6 @@ from typing import Any, Self
 
 import numpy as np
 
-from mjgranular._util.checks import is_finite
 from mjgranular._util.parse import read_options, read_value, split_words
 from mjgranular.errors import InputError, shown
 from mjgranular.relief.grid import HEADER, node_keys, state_size
@@ -35,8 +34,6 @@ class Memory:
             that of a square of four times this, rounded up to a divisor of the extent. None for
             four cells and the widest geom's width.
         repose: angle of repose [rad]; steeper slopes flow down.
-        heap: share of the height of a heap that counts as depth in front of an upright face, from 0
-            to 1; 0.3 for blades (docs/memory.md).
 
     Raises:
         InputError: an invalid value, or too many cells.
@@ -47,7 +44,6 @@ class Memory:
     extent: float | None = None
     surroundings: float | None = None
     repose: float = REPOSE
-    heap: float = 0.0
 
     def __post_init__(self) -> None:
         for name in ("cell", "extent", "surroundings", "repose"):
@@ -60,8 +56,6 @@ class Memory:
                 raise InputError(
                     f"the memory's {name} must be a number above 0{end}, not {shown(value)}"
                 )
-        if not (is_finite(self.heap) and 0 <= self.heap <= 1):
-            raise InputError(f"the memory's heap must be from 0 to 1, not {shown(self.heap)}")
         if not self.side / self.cell <= MOST_CELLS:
             count = self.side / self.cell
             raise InputError(

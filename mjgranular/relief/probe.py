@@ -11,8 +11,7 @@ body. On untouched sand both are 0, and the depth is exactly that below the surf
 remaining depth in a track: sand is pressed down to within it, so that a body standing still in its
 track is supported by all of the resistance, which falls to zero as the body rises by that much.
 
-A steep face is resisted by the sand a cell and a half ahead of it; a flat one by that under it. For
-an upright face a share of the height by which the sand ahead exceeds `around`, `heap`, is added.
+A steep face is resisted by the sand a cell and a half ahead of it; a flat one by that under it.
 """
 
 from functools import cache, partial
@@ -58,14 +57,14 @@ def level_kernel(probe: Any, is_flat: bool) -> Any:
 
 @cache
 def look_kernel(probe: Any, is_flat: bool, height: Any) -> Any:
-    """Make a kernel `look(relief, point, ahead, upright)`: depth [m], and the normal above a point.
+    """Make a kernel `look(relief, point, ahead)`: depth of a point [m], and the normal above it.
 
     The height of the relevant sand [m] is that of the kernel `height(relief, state, u, v, ahead)`.
     """
     level = level_kernel(probe, is_flat)
 
     @compiled
-    def look(relief, point, ahead, upright):
+    def look(relief, point, ahead):
         depth, normal = probe(relief.base, point)
         n = read_vector(relief.normal, 0)
         place = point - read_vector(relief.origin, 0)
@@ -83,7 +82,6 @@ def look_kernel(probe: Any, is_flat: bool, height: Any) -> Any:
         if not above > 0.0:
             return above, normal
         deep = mean_at(state, size, blocks, cell, u, v) - z
-        deep += upright * relief.heap * max(above - deep, 0.0)
         if not deep > 0.0:
             return deep, normal
         return min(above / min(relief.slack, deep), 1.0) * deep * dot(normal, n), normal
@@ -115,7 +113,7 @@ def toward_kernel(probe: Any, is_flat: bool) -> Any:
         level = outward - dot(outward, n) * n
         tilt = norm(level)
         far = AHEAD * relief.cell / max(tilt, STEEP)
-        return look(relief, point, far * level, tilt * tilt)
+        return look(relief, point, far * level)
 
     return toward
 
@@ -141,7 +139,7 @@ def around_kernel(probe: Any, is_flat: bool) -> Any:
 
     @compiled
     def around(relief, point):
-        return look(relief, point, point, 0.0)
+        return look(relief, point, point)
 
     return around
 

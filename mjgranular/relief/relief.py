@@ -21,7 +21,7 @@ SLACK = 0.1
 def relief_dtype(base: np.dtype) -> np.dtype:
     """Return the record of a relief over a surface with that record."""
     vectors = [(name, np.float64, (3,)) for name in ("origin", "along", "across", "normal")]
-    numbers = ("cell", "slack", "heap", "repose", "half_along", "half_across")
+    numbers = ("cell", "slack", "repose", "half_along", "half_across")
     # Addresses: of the state (`grid`), of surface points and of bodies (`footprint`).
     integers = ("size", "blocks", "state", "points", "spheres", "feet", "foot_count")
     return np.dtype(
@@ -75,7 +75,7 @@ class Relief(Surface):
         for name, value in frame_of(self.base, base[0]).items():
             relief[name] = value
         relief["cell"], relief["slack"] = memory.cell, SLACK * memory.cell
-        relief["heap"], relief["repose"] = memory.heap, np.tan(memory.repose)
+        relief["repose"] = np.tan(memory.repose)
         relief["size"], relief["blocks"] = memory.size, memory.blocks(self.surroundings)
         return relief
 

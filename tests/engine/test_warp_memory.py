@@ -122,18 +122,6 @@ def test_prints_are_those_of_the_processor(warp, surface):
     assert abs(CELL**2 * mine.sum() + found["waiting"][0]) < 1e-3 * found["pressed"][0]
 
 
-def test_heaps_in_front_of_upright_faces_are_felt(warp):
-    """A box that slides far into the sand stops earlier, as on the processor."""
-    ways = []
-    for heap in (0.0, 1.0):
-        worlds = Worlds(warp, count=1, memory=Memory(cell=CELL, heap=heap), box=(1.5, 0, -0.5))
-        worlds.step(150, both=True)
-        ways.append([worlds.d.qpos.numpy()[0, 0], worlds.data.qpos[0]])
-    ways = np.array(ways)
-    assert (ways[1] < 0.96 * ways[0]).all()
-    np.testing.assert_allclose(ways[:, 0], ways[:, 1], rtol=0.05)
-
-
 def test_who_steps_into_his_print_falls_until_there_is_sand(warp):
     """World 0 has a print already, world 1 has none."""
     worlds = Worlds(warp)

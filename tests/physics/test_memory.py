@@ -377,33 +377,6 @@ def test_sand_flows_along_gravity(turn: str) -> None:
     np.testing.assert_allclose(np.ptp(crater(turn)), np.ptp(crater("0 0 0")), rtol=0.03)
 
 
-# Plate of 30 x 15 mm drawn at the surface of glass beads of 0.3 mm (Schiebel et al., eLife 9
-# e51412, 2020): stress [N/cm^2] by the depth of its lower edge [m].
-STRESSES = {0.008: 0.06, 0.012: 0.09}
-
-
-@pytest.mark.parametrize("medium", ["glass_beads_close", "glass_beads_loose"])
-@pytest.mark.parametrize("depth", STRESSES)
-def test_a_drawn_plate_feels_its_heap_if_asked(depth: float, medium: str) -> None:
-    plate = '<geom type="box" size="0.001 0.015 0.0075" pos="0 0 0.0075" mass="1"/>'
-    forces = []
-    for heap in (0.0, 0.3):
-        remembered = memory(cell=0.005, heap=heap)
-        pushed = Pushed(plate, law="rft3d_dynamic added=0", medium=medium, memory=remembered)
-        ways = np.arange(0.0, 0.08, 1e-4)
-        drawn = [-pushed.force(x, -depth, vx=0.1)[0] for x in ways]
-        forces.append(np.array(drawn) / (3 * 1e2 * depth) / STRESSES[depth])  # to the measured
-    without, found = forces
-    assert without[-100:].mean() < 0.7
-    assert found[-100:].mean() == pytest.approx(1.0, abs=0.3)
-    assert found[-100:].mean() > 1.1 * found[20:60].mean() > 1.1 * without[20:60].mean()
-
-
-def test_no_heap_is_felt_where_sand_is_untouched_or_below_a_sole(without: np.ndarray) -> None:
-    pressed = Pushed(memory=memory(heap=1.0)).press(0.0, 0.03)
-    np.testing.assert_allclose(pressed, without, rtol=0.01, atol=1e-9)
-
-
 def test_size_of_the_bed_makes_no_difference() -> None:
     curves = [
         Pushed(bed=bed, surface=Bed("tray"), instead_of=None, memory=memory()).press(0.0, 0.02)
@@ -634,8 +607,6 @@ def test_slopes_and_sand_beside_a_bed() -> None:
         ({"repose": 2.0}, "repose must be a number above 0 and below 1.571"),
         ({"cell": 1e-4, "extent": 2.0}, r"2e\+04 cells along a side.*cells of 0.001 m would fit"),
         ({"repose": True}, "repose must be a number"),
-        ({"heap": 1.5}, "heap must be from 0 to 1, not 1.5"),
-        ({"heap": math.nan}, "heap must be from 0 to 1"),
     ],
 )
 def test_what_has_no_meaning_is_refused(given: dict[str, Any], message: str) -> None:
