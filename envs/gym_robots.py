@@ -1,6 +1,5 @@
 """Gymnasium's robots as tasks: Hopper, Walker2d, HalfCheetah, Swimmer, Ant, Humanoid."""
 
-import inspect
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -19,20 +18,6 @@ from mjgranular.envs.task import Start, State, Task, coordinates
 
 ASSETS = Path(gymnasium.envs.mujoco.__file__).parent / "assets"
 
-_AS_THERE = {
-    "Description": (
-        "Gymnasium's `{}-v5` on Quikrete medium sand. What is not said here is as there;\n"
-        "`mjgranular.envs.on_sand` says what sand changes."
-    ),
-    "Action Space": "",
-    "Observation Space": "",
-    "Rewards": "`reward_forward` + `reward_survive` + `reward_ctrl`, as in `{}-v5`.",
-    "Starting State": "As in `{}-v5`.",
-    "Episode End": "Terminated when unhealthy, as in `{}-v5`. Truncated after 1000 steps.",
-    "Arguments": "Those of `{}-v5` but `xml_file` and those of cameras, and those of `Task`.",
-    "Version History": "v0: first.",
-}
-
 
 def place_in_plane(state: State) -> dict[str, np.ndarray]:
     """Return positions of robots over a plane, as in Gymnasium [m], each of shape (n,)."""
@@ -45,10 +30,19 @@ def place_in_plane(state: State) -> dict[str, np.ndarray]:
 class Robot(Task):
     """A Gymnasium robot: model, observation, reward and options.
 
-    A test checks that each is bit-identical to `on_sand` of the same robot. Its docstring has the
-    sections of its specification that differ from `_AS_THERE`.
+    A test checks that each is bit-identical to `on_sand` of the same robot.
     """
 
+    sections: ClassVar[dict[str, str]] = Task.sections | {
+        "Description": (
+            "Gymnasium's `{}-v5` on Quikrete medium sand. What is not said here is as there;\n"
+            "`mjgranular.envs.on_sand` says what sand changes."
+        ),
+        "Rewards": "`reward_forward` + `reward_survive` + `reward_ctrl`, as in `{}-v5`.",
+        "Starting State": "As in `{}-v5`.",
+        "Episode End": "Terminated when unhealthy, as in `{}-v5`. Truncated after 1000 steps.",
+        "Arguments": "Those of `{}-v5` but `xml_file` and those of cameras, and those of `Task`.",
+    }
     xml: ClassVar[str]
     hidden: ClassVar[int] = 1
     """Number of positions that are omitted from the observation."""
@@ -59,14 +53,6 @@ class Robot(Task):
     ctrl_cost_weight: float = 1e-3
     reset_noise_scale: float = 5e-3
     exclude_current_positions_from_observation: bool = True
-
-    def __init_subclass__(cls) -> None:
-        title, *sections = inspect.cleandoc(cls.__doc__ or "").split("\n\n## ")
-        if sections:
-            own = dict(section.split("\n", 1) for section in sections)
-            theirs = {head: text.format(cls.__name__) for head, text in _AS_THERE.items()}
-            lines = [f"## {head}\n{own.get(head, text)}" for head, text in theirs.items()]
-            cls.__doc__ = "\n\n".join([title, *lines])
 
     def robot(self) -> mujoco.MjSpec:
         with quiet():

@@ -50,9 +50,6 @@ class Hexapod(Task):
     `reset_noise_scale=0.05`, `frame_skip=8` substeps of 5 ms, and those of `Task`: the medium,
     here loosely packed poppy seed, randomised sand and so on. The default resolution is 2: the way
     of a tripod gait is 7 % shorter than at a fine one.
-
-    ## Version History
-    v0: first.
     """
 
     title: ClassVar[str] = "a hexapod of 12 degrees of freedom walks"
