@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -75,12 +76,8 @@ class Hexapod(Task):
     def start(self, random: np.random.Generator, height: Callable[[float, float], float]) -> Start:
         noise, body = self.reset_noise_scale, self.body
         qpos = body.start()
-        corners = [
-            (x, y)
-            for x in (-body.length / 2, 0.0, body.length / 2)
-            for y in (-body.width / 2 - body.upper, body.width / 2 + body.upper)
-        ]
-        qpos[2] += max(height(x, y) for x, y in corners)
+        x, y = body.length / 2, body.width / 2 + body.upper
+        qpos[2] += max(height(*corner) for corner in product((-x, 0.0, x), (-y, y)))
         qpos[7:] += random.uniform(-noise, noise, 12)
         qvel = np.zeros(18)
         qvel[6:] = random.uniform(-noise, noise, 12)
