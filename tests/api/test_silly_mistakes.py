@@ -614,9 +614,9 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "gait of an environment": (
         lambda: gait_of(task("LinkDrop")),
-        "a gait is of a task, which an environment has as env.unwrapped.task",
+        "gait takes a Task, not",
     ),
-    "gait of an id": (lambda: gait_of("mjgranular/LinkDrop-v0"), "env.unwrapped.task, not of"),
+    "gait of an id": (lambda: gait_of("mjgranular/LinkDrop-v0"), "; use env.unwrapped.task"),
     "environment that is made already": (
         lambda: on_sand(task("LinkDrop")),
         "on_sand makes the environment itself, from its class or its id",
