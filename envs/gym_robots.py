@@ -19,13 +19,6 @@ from mjgranular.envs.task import Start, State, Task, coordinates
 ASSETS = Path(gymnasium.envs.mujoco.__file__).parent / "assets"
 
 
-def place_in_plane(state: State) -> dict[str, np.ndarray]:
-    """Return positions of robots over a plane, as in Gymnasium [m], each of shape (n,)."""
-    x, y = state.qpos[:, 0], state.qpos[:, 1]
-    distance = {"distance_from_origin": np.sqrt(x * x + y * y)}
-    return coordinates("position", state.qpos, "xy") | distance
-
-
 @dataclass(frozen=True, kw_only=True)
 class Robot(Task):
     """A Gymnasium robot: model, observation, reward and options.
@@ -91,6 +84,11 @@ class Robot(Task):
             "reward_forward": self.forward_reward_weight * self.speed(before, state),
             "reward_ctrl": -(self.ctrl_cost_weight * np.square(action).sum(axis=1)),
         }
+
+    def place(self, state: State) -> dict[str, np.ndarray]:
+        x, y = state.qpos[:, 0], state.qpos[:, 1]
+        distance = {"distance_from_origin": np.sqrt(x * x + y * y)}
+        return coordinates("position", state.qpos, "xy") | distance
 
     def progress(self, before: Any, state: State) -> dict[str, np.ndarray]:
         return {"x_velocity": self.speed(before, state)}
@@ -282,8 +280,7 @@ class Swimmer(HalfCheetah):
     def raise_by(self, qpos: np.ndarray, height: Callable[[float, float], float]) -> None:
         pass
 
-    def place(self, state: State) -> dict[str, np.ndarray]:
-        return place_in_plane(state)
+    place = Robot.place
 
     def progress(self, before: Any, state: State) -> dict[str, np.ndarray]:
         return coordinates("velocity", (state.qpos[:, :2] - before) / self.dt, "xy")
@@ -329,9 +326,6 @@ class _Spatial(Standing):
 
     def speed(self, before: np.ndarray, state: State) -> np.ndarray:
         return (self.once(state, "where", self.where)[:, 0] - before[:, 0]) / self.dt
-
-    def place(self, state: State) -> dict[str, np.ndarray]:
-        return place_in_plane(state)
 
     def progress(self, before: Any, state: State) -> dict[str, np.ndarray]:
         velocity = (self.once(state, "where", self.where) - before) / self.dt
