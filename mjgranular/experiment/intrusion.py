@@ -153,7 +153,6 @@ class IntrusionResult:
         """Return one row: force at the end of the path, the greatest resistance, and the work."""
         resistance = self.force[:, 0]
         greatest = int(resistance.argmax())
-        steps = np.diff(self.travelled)
         return {
             "law": self.law,
             "medium": self.intrusion.medium,
@@ -163,7 +162,7 @@ class IntrusionResult:
             **dict(zip(_FORCES, map(float, self.force[-1]), strict=True)),
             "greatest_resistance": float(resistance[greatest]),
             "depth_of_greatest": float(self.depth[greatest]),
-            "work": float(((resistance[1:] + resistance[:-1]) / 2 * steps).sum()),
+            "work": float(np.trapezoid(resistance, self.travelled)),
             "within_validity": float(self.valid.mean()),
         }
 
