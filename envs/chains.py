@@ -216,5 +216,4 @@ class ChainCrawl(_Chain):
         return terms | {"reward_rate": -self.rate_cost_weight * np.square(change).sum(axis=1)}
 
     def place(self, state: State) -> dict[str, np.ndarray]:
-        centre = state.subtree_com[:, 1]
-        return {"x_position": centre[:, 0].copy(), "z_position": centre[:, 2].copy()}
+        return coordinates("position", state.subtree_com[:, 1, ::2], "xz")

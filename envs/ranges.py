@@ -9,7 +9,7 @@ from typing import Any, Self
 import mujoco
 import numpy as np
 
-from mjgranular._util.checks import check_name, kind_of
+from mjgranular._util.checks import check_kind, check_name, kind_of
 from mjgranular.engine import tune
 from mjgranular.envs.figures import Figures
 from mjgranular.errors import InputError, UnknownNameError
@@ -197,10 +197,8 @@ def ranges_of(ranges: Any, curriculum: Any, memory: Any) -> SandRanges | None:
     """
     if isinstance(ranges, Mapping):
         ranges = SandRanges.of(ranges)
-    if ranges is not None and not isinstance(ranges, SandRanges):
-        raise InputError(
-            f"randomise must be a SandRanges(strength=(0.5, 2), ...), not {kind_of(ranges)}"
-        )
+    if ranges is not None:
+        check_kind(ranges, SandRanges, "randomise", "SandRanges(strength=(0.5, 2), ...)")
     if curriculum is not None and not callable(curriculum):
         raise InputError(
             "a curriculum is a function of the number of the episode that gives a SandRanges, not "

@@ -610,7 +610,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "list for ranges": (
         lambda: task("Hopper", randomise=[1, 2]),
-        "randomise must be a SandRanges(strength=(0.5, 2), ...), not a list",
+        "randomise takes a SandRanges, not a list; use SandRanges(strength=(0.5, 2), ...)",
     ),
     "gait of an environment": (
         lambda: gait_of(task("LinkDrop")),
