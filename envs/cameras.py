@@ -1,5 +1,6 @@
 """Rendering of a simulation, to images or a window."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import mujoco
@@ -22,6 +23,12 @@ def check_camera(model: mujoco.MjModel, name: str | None) -> None:
         raise UnknownNameError("camera", name, known, hint)
 
 
+def check_mode(mode: str | None, modes: Sequence[str]) -> None:
+    """Check the name of a way to render, or that there is none."""
+    if mode not in (None, *modes):
+        raise InputError(f"render_mode must be None or one of {', '.join(modes)}, not {mode!r}")
+
+
 def check_screen(mode: str | None) -> None:
     """Check that a window can be opened if one is needed: GLFW would end the process."""
     if mode == "human" and not opens_window(monitor=True):
@@ -37,10 +44,7 @@ class Cameras:
     def __init__(
         self, task: Task, mode: str | None, width: int, height: int, camera_name: str | None
     ) -> None:
-        if mode not in (None, *RENDER_MODES):
-            raise InputError(
-                f"render_mode must be None or one of {', '.join(RENDER_MODES)}, not {mode!r}"
-            )
+        check_mode(mode, RENDER_MODES)
         check_count("width", width)
         check_count("height", height)
         check_camera(task.model, camera_name)
@@ -102,8 +106,5 @@ def _free(settings: dict[str, Any]) -> mujoco.MjvCamera:
     if "trackbodyid" in settings:
         camera.type = mujoco.mjtCamera.mjCAMERA_TRACKING
     for name, value in settings.items():
-        if name == "lookat":
-            camera.lookat[:] = value
-        else:
-            setattr(camera, name, value)
+        setattr(camera, name, value)
     return camera

@@ -118,9 +118,6 @@ class ChainSwim(_Chain):
     `frame_skip=8` substeps of 5 ms, and those of `Task`: the medium, here Quikrete medium sand
     under three-dimensional resistive force theory, randomised sand and so on. The default
     resolution is 3; at a fine one a wave gets 13 % less far (docs/environments.md).
-
-    ## Version History
-    v0: first.
     """
 
     title: ClassVar[str] = "a buried chain swims by waves from head to tail"
@@ -181,9 +178,6 @@ class ChainCrawl(_Chain):
     `links=7`, `forward_reward_weight=1`, `ctrl_cost_weight=0.005`, `rate_cost_weight=0.02`,
     `reset_noise_scale=0.05`, `frame_skip=8` substeps of 5 ms, and those of `Task`: the medium, here
     loosely packed poppy seed, and so on. At a finer resolution than 4 a wave gets 16 % less far.
-
-    ## Version History
-    v0: first.
     """
 
     reads: ClassVar[tuple[str, ...]] = ("subtree_com", "ctrl")
@@ -222,5 +216,4 @@ class ChainCrawl(_Chain):
         return terms | {"reward_rate": -self.rate_cost_weight * np.square(change).sum(axis=1)}
 
     def place(self, state: State) -> dict[str, np.ndarray]:
-        centre = state.subtree_com[:, 1]
-        return {"x_position": centre[:, 0].copy(), "z_position": centre[:, 2].copy()}
+        return coordinates("position", state.subtree_com[:, 1, ::2], "xz")

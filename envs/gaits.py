@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mjgranular._util.checks import check_name, kind_of
+from mjgranular._util.checks import check_kind, check_name
 from mjgranular.envs.task import Task, check_number
 from mjgranular.errors import InputError
 
@@ -88,11 +88,7 @@ def gait(task: Task, **parameters: Any) -> Callable[[float], np.ndarray]:
         UnknownNameError: the task has no gait; lists the tasks with one.
         InputError: no such parameter; lists the valid ones.
     """
-    if not isinstance(task, Task):
-        raise InputError(
-            f"a gait is of a task, which an environment has as env.unwrapped.task, not of "
-            f"{kind_of(task)}"
-        )
+    check_kind(task, Task, "gait", "env.unwrapped.task")
     name = type(task).__name__
     check_name("gait for", name, gaits)
     known = [*inspect.signature(gaits[name]).parameters][2:]

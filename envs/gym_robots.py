@@ -1,6 +1,5 @@
 """Gymnasium's robots as tasks: Hopper, Walker2d, HalfCheetah, Swimmer, Ant, Humanoid."""
 
-import inspect
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -19,36 +18,24 @@ from mjgranular.envs.task import Start, State, Task, coordinates
 
 ASSETS = Path(gymnasium.envs.mujoco.__file__).parent / "assets"
 
-_AS_THERE = {
-    "Description": (
-        "Gymnasium's `{}-v5` on Quikrete medium sand. What is not said here is as there;\n"
-        "`mjgranular.envs.on_sand` says what sand changes."
-    ),
-    "Action Space": "",
-    "Observation Space": "",
-    "Rewards": "`reward_forward` + `reward_survive` + `reward_ctrl`, as in `{}-v5`.",
-    "Starting State": "As in `{}-v5`.",
-    "Episode End": "Terminated when unhealthy, as in `{}-v5`. Truncated after 1000 steps.",
-    "Arguments": "Those of `{}-v5` but `xml_file` and those of cameras, and those of `Task`.",
-    "Version History": "v0: first.",
-}
-
-
-def place_in_plane(state: State) -> dict[str, np.ndarray]:
-    """Return positions of robots over a plane, as in Gymnasium [m], each of shape (n,)."""
-    x, y = state.qpos[:, 0], state.qpos[:, 1]
-    distance = {"distance_from_origin": np.sqrt(x * x + y * y)}
-    return coordinates("position", state.qpos, "xy") | distance
-
 
 @dataclass(frozen=True, kw_only=True)
 class Robot(Task):
     """A Gymnasium robot: model, observation, reward and options.
 
-    A test checks that each is bit-identical to `on_sand` of the same robot. Its docstring has the
-    sections of its specification that differ from `_AS_THERE`.
+    A test checks that each is bit-identical to `on_sand` of the same robot.
     """
 
+    sections: ClassVar[dict[str, str]] = Task.sections | {
+        "Description": (
+            "Gymnasium's `{}-v5` on Quikrete medium sand. What is not said here is as there;\n"
+            "`mjgranular.envs.on_sand` says what sand changes."
+        ),
+        "Rewards": "`reward_forward` + `reward_survive` + `reward_ctrl`, as in `{}-v5`.",
+        "Starting State": "As in `{}-v5`.",
+        "Episode End": "Terminated when unhealthy, as in `{}-v5`. Truncated after 1000 steps.",
+        "Arguments": "Those of `{}-v5` but `xml_file` and those of cameras, and those of `Task`.",
+    }
     xml: ClassVar[str]
     hidden: ClassVar[int] = 1
     """Number of positions that are omitted from the observation."""
@@ -59,14 +46,6 @@ class Robot(Task):
     ctrl_cost_weight: float = 1e-3
     reset_noise_scale: float = 5e-3
     exclude_current_positions_from_observation: bool = True
-
-    def __init_subclass__(cls) -> None:
-        title, *sections = inspect.cleandoc(cls.__doc__ or "").split("\n\n## ")
-        if sections:
-            own = dict(section.split("\n", 1) for section in sections)
-            theirs = {head: text.format(cls.__name__) for head, text in _AS_THERE.items()}
-            lines = [f"## {head}\n{own.get(head, text)}" for head, text in theirs.items()]
-            cls.__doc__ = "\n\n".join([title, *lines])
 
     def robot(self) -> mujoco.MjSpec:
         with quiet():
@@ -105,6 +84,11 @@ class Robot(Task):
             "reward_forward": self.forward_reward_weight * self.speed(before, state),
             "reward_ctrl": -(self.ctrl_cost_weight * np.square(action).sum(axis=1)),
         }
+
+    def place(self, state: State) -> dict[str, np.ndarray]:
+        x, y = state.qpos[:, 0], state.qpos[:, 1]
+        distance = {"distance_from_origin": np.sqrt(x * x + y * y)}
+        return coordinates("position", state.qpos, "xy") | distance
 
     def progress(self, before: Any, state: State) -> dict[str, np.ndarray]:
         return {"x_velocity": self.speed(before, state)}
@@ -296,8 +280,7 @@ class Swimmer(HalfCheetah):
     def raise_by(self, qpos: np.ndarray, height: Callable[[float, float], float]) -> None:
         pass
 
-    def place(self, state: State) -> dict[str, np.ndarray]:
-        return place_in_plane(state)
+    place = Robot.place
 
     def progress(self, before: Any, state: State) -> dict[str, np.ndarray]:
         return coordinates("velocity", (state.qpos[:, :2] - before) / self.dt, "xy")
@@ -343,9 +326,6 @@ class _Spatial(Standing):
 
     def speed(self, before: np.ndarray, state: State) -> np.ndarray:
         return (self.once(state, "where", self.where)[:, 0] - before[:, 0]) / self.dt
-
-    def place(self, state: State) -> dict[str, np.ndarray]:
-        return place_in_plane(state)
 
     def progress(self, before: Any, state: State) -> dict[str, np.ndarray]:
         velocity = (self.once(state, "where", self.where) - before) / self.dt

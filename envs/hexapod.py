@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -50,9 +51,6 @@ class Hexapod(Task):
     `reset_noise_scale=0.05`, `frame_skip=8` substeps of 5 ms, and those of `Task`: the medium,
     here loosely packed poppy seed, randomised sand and so on. The default resolution is 2: the way
     of a tripod gait is 7 % shorter than at a fine one.
-
-    ## Version History
-    v0: first.
     """
 
     title: ClassVar[str] = "a hexapod of 12 degrees of freedom walks"
@@ -78,12 +76,8 @@ class Hexapod(Task):
     def start(self, random: np.random.Generator, height: Callable[[float, float], float]) -> Start:
         noise, body = self.reset_noise_scale, self.body
         qpos = body.start()
-        corners = [
-            (x, y)
-            for x in (-body.length / 2, 0.0, body.length / 2)
-            for y in (-body.width / 2 - body.upper, body.width / 2 + body.upper)
-        ]
-        qpos[2] += max(height(x, y) for x, y in corners)
+        x, y = body.length / 2, body.width / 2 + body.upper
+        qpos[2] += max(height(*corner) for corner in product((-x, 0.0, x), (-y, y)))
         qpos[7:] += random.uniform(-noise, noise, 12)
         qvel = np.zeros(18)
         qvel[6:] = random.uniform(-noise, noise, 12)

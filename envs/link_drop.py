@@ -51,9 +51,6 @@ class LinkDrop(Task):
     ## Arguments
     `target_range=(0.06, 0.2)` link lengths, `speed_range=(1, 5)` m/s, `frame_skip=500` substeps of
     0.5 ms, and those of `Task`.
-
-    ## Version History
-    v0: first.
     """
 
     title: ClassVar[str] = "angle and spin of a drop for a given depth, in one step"

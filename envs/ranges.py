@@ -2,14 +2,14 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from numbers import Real
 from typing import Any, Self
 
 import mujoco
 import numpy as np
 
-from mjgranular._util.checks import check_name, kind_of
+from mjgranular._util.checks import check_kind, check_name, kind_of
 from mjgranular.engine import tune
 from mjgranular.envs.figures import Figures
 from mjgranular.errors import InputError, UnknownNameError
@@ -84,9 +84,8 @@ class SandRanges:
     @classmethod
     def of(cls, table: Mapping[str, Any]) -> Self:
         """Return ranges from a table by the names of the fields, as in TOML or YAML."""
-        known = [field.name for field in fields(cls)]
         for name in table:
-            check_name("range of randomise", name, known)
+            check_name("range of randomise", name, (*_DRAWN, *_NAMED))
         return cls(**table)
 
     @staticmethod
@@ -96,9 +95,8 @@ class SandRanges:
             raise InputError(f"options of reset must be a dict by name, not {kind_of(options)}")
         if not options:
             return ranges
-        names = [field.name for field in fields(SandRanges)]
         for name in options:
-            check_name("option of reset", name, names)
+            check_name("option of reset", name, (*_DRAWN, *_NAMED))
         if ranges is None:
             raise InputError(
                 f"reset: {', '.join(options)} can be set if the environment is made with "
@@ -197,10 +195,8 @@ def ranges_of(ranges: Any, curriculum: Any, memory: Any) -> SandRanges | None:
     """
     if isinstance(ranges, Mapping):
         ranges = SandRanges.of(ranges)
-    if ranges is not None and not isinstance(ranges, SandRanges):
-        raise InputError(
-            f"randomise must be a SandRanges(strength=(0.5, 2), ...), not {kind_of(ranges)}"
-        )
+    if ranges is not None:
+        check_kind(ranges, SandRanges, "randomise", "SandRanges(strength=(0.5, 2), ...)")
     if curriculum is not None and not callable(curriculum):
         raise InputError(
             "a curriculum is a function of the number of the episode that gives a SandRanges, not "

@@ -16,7 +16,7 @@ from mjgranular._util.checks import check_count
 from mjgranular.engine import rne_post_constraint
 from mjgranular.engine.instances import sands_in
 from mjgranular.engine.sensor import SandReadings
-from mjgranular.envs.cameras import check_camera, check_screen
+from mjgranular.envs.cameras import check_camera, check_mode, check_screen
 from mjgranular.envs.figures import BAD, Figures
 from mjgranular.envs.ground import converted_errors, put_on_sand, quiet
 from mjgranular.envs.ids import creator_of, find_spec
@@ -124,10 +124,8 @@ class OnSand(MujocoEnv):
         self._choices = choices_of(self._ranges, SandSpec(**base), None)
         self.sands = [choice.sand for choice in self._choices]
         self._drawn, self._episodes = Sample(), 0
-        mode, modes = options.get("render_mode"), self.metadata["render_modes"]
-        if mode is not None and mode not in modes:
-            raise InputError(f"render_mode must be None or one of {', '.join(modes)}, not {mode!r}")
-        check_screen(mode)
+        check_mode(options.get("render_mode"), self.metadata["render_modes"])
+        check_screen(options.get("render_mode"))
         super().__init__(**options)
         check_camera(self.model, options.get("camera_name"))
 

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
-from mjgranular._util.checks import kind_of, require
+from mjgranular._util.checks import check_kind, require
 from mjgranular.envs.vector import SandVectorEnv
 from mjgranular.errors import InputError
 
@@ -28,8 +28,7 @@ class RslVecEnv(VecEnv):
     """
 
     def __init__(self, env: SandVectorEnv, device: str | torch.device | None = None) -> None:
-        if not isinstance(env, SandVectorEnv):
-            raise InputError(f"RslVecEnv takes a WarpVectorEnv, not {kind_of(env)}")
+        check_kind(env, SandVectorEnv, "RslVecEnv", "WarpVectorEnv(...)")
         if env.autoreset_mode is not AutoresetMode.SAME_STEP or env.max_episode_steps is None:
             raise InputError(
                 "RSL-RL needs environments made with autoreset_mode='SameStep' and "

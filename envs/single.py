@@ -11,13 +11,14 @@ import numpy as np
 
 from mjgranular.envs.cameras import RENDER_MODES, Cameras
 from mjgranular.envs.figures import BAD
-from mjgranular.envs.task import State, Task, check_actions, get_task
+from mjgranular.envs.task import Task, check_actions, get_task
 
 
 class SandEnv(gym.Env[np.ndarray, np.ndarray]):
     """A task with one simulation.
 
-    A copy or pickle has its task and options, not its state: call `reset` first.
+    `state` is what methods of the task take, views of `data`. A copy or pickle has its task and
+    options, not its state: call `reset` first.
 
     Args:
         task: a task or its name.
@@ -53,7 +54,7 @@ class SandEnv(gym.Env[np.ndarray, np.ndarray]):
         self.cameras = Cameras(self.task, render_mode, width, height, camera_name)
         self.action_space = self.task.action_space
         self.observation_space = self.task.observation_space
-        self._state = self.task.state_of(self.data)
+        self.state = self.task.state_of(self.data)
         self._episodes = 0
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -63,11 +64,6 @@ class SandEnv(gym.Env[np.ndarray, np.ndarray]):
     def dt(self) -> float:
         """Duration of a step [s]."""
         return self.task.dt
-
-    @property
-    def state(self) -> State:
-        """The state that methods of the task take, views of `data`."""
-        return self._state
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -93,12 +89,12 @@ class SandEnv(gym.Env[np.ndarray, np.ndarray]):
         start = task.begin(random, sample)
         mujoco.mj_resetData(model, data)
         numbers = {name: attrgetter(name)(model) for name in task.varied}
-        task.lay(sample, start, self._state, 0, data.plugin_state, numbers)
+        task.lay(sample, start, self.state, 0, data.plugin_state, numbers)
         mujoco.mj_forward(model, data)
-        self._state.found.clear()
+        self.state.found.clear()
         if self.render_mode == "human":
             self.render()
-        return task.observation(self._state)[0], first_of(task.reset_info(self._state))
+        return task.observation(self.state)[0], first_of(task.reset_info(self.state))
 
     def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Advance by `frame_skip` substeps.
@@ -106,7 +102,7 @@ class SandEnv(gym.Env[np.ndarray, np.ndarray]):
         Raises:
             InputError: the action has another shape, or is not finite.
         """
-        task, state = self.task, self._state
+        task, state = self.task, self.state
         action = check_actions(action, self.action_space.shape)[None]
         before = task.mark(state)
         self.data.ctrl[:] = task.act(action, state)[0]
@@ -127,7 +123,7 @@ class SandEnv(gym.Env[np.ndarray, np.ndarray]):
 
     def render(self) -> np.ndarray | None:
         """Render an image, shape (height, width, 3), or to the window."""
-        return self.cameras.look(self.model, self.data, int(self._state.active[0]))
+        return self.cameras.look(self.model, self.data, int(self.state.active[0]))
 
     def close(self) -> None:
         self.cameras.close()

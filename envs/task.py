@@ -8,6 +8,7 @@ To achieve this, a task sums only along the last axis, of row-major arrays, and 
 that NumPy computes differently for short and long arrays.
 """
 
+import inspect
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
@@ -63,7 +64,7 @@ class Task(SandSpec, ABC):
     """A robot, its sand, and its goal.
 
     A final task is a frozen dataclass; its fields are the options of the environment. Its docstring
-    is the environment's specification, in Gymnasium's sections.
+    is the environment's specification, in Gymnasium's sections; it may omit those of `sections`.
 
     The sand has the fields of `mjgranular.SandSpec` too. It always replaces the floor.
 
@@ -95,6 +96,13 @@ class Task(SandSpec, ABC):
     camera: ClassVar[dict[str, Any]] = {}
     """Settings of the free camera: trackbodyid, distance, azimuth, elevation, lookat."""
 
+    sections: ClassVar[dict[str, str]] = {
+        **dict.fromkeys(("Description", "Action Space", "Observation Space", "Rewards"), ""),
+        **dict.fromkeys(("Starting State", "Episode End", "Arguments"), ""),
+        "Version History": "v0: first.",
+    }
+    """Sections of the specification in their order; "{}" stands for the name of the class."""
+
     medium: str | Path | Medium = "quikrete_medium"
     resolution: int | None = 4
     randomise: SandRanges | None = None
@@ -102,6 +110,14 @@ class Task(SandSpec, ABC):
     rigid: float | None = None
     observe_sand: bool = False
     frame_skip: int = 5
+
+    def __init_subclass__(cls) -> None:
+        title, *own = inspect.cleandoc(cls.__doc__ or "").split("\n\n## ")
+        if own:
+            texts = {head: text.format(cls.__name__) for head, text in cls.sections.items()}
+            texts |= {head: text for head, _, text in (part.partition("\n") for part in own)}
+            parts = [f"## {head}\n{text}" for head, text in texts.items() if text]
+            cls.__doc__ = "\n\n".join([title, *parts])
 
     def __post_init__(self) -> None:
         check_count("frame_skip", self.frame_skip)

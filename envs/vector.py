@@ -15,7 +15,7 @@ from mjgranular._util.checks import check_count, kind_of
 from mjgranular.envs.cameras import RENDER_MODES, Cameras
 from mjgranular.envs.figures import BAD
 from mjgranular.envs.ranges import SandRanges
-from mjgranular.envs.task import State, Task, check_actions, get_task
+from mjgranular.envs.task import Task, check_actions, get_task
 from mjgranular.errors import InputError, UnknownNameError
 
 
@@ -23,7 +23,8 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     """A task with many simulations, stepped by `mujoco.batch.Batch` on all cores.
 
     Observations, rewards, ends, `info` and random generators are bit-identical to those of
-    `num_envs` `SandEnv` in Gymnasium's `SyncVectorEnv`, for any number of threads.
+    `num_envs` `SandEnv` in Gymnasium's `SyncVectorEnv`, for any number of threads. `state` is what
+    methods of the task take.
 
     Args:
         task: a task or its name.
@@ -79,7 +80,7 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             **self.cameras.settings,
         }
         self.batch = self._make_batch(threads)
-        self._state = self.task.new_state({name: self.batch.bind(name) for name in self.task.bound})
+        self.state = self.task.new_state({name: self.batch.bind(name) for name in self.task.bound})
         self._ctrl = self.batch.bind("ctrl")
         self._plugin_state = self.batch.bind("plugin_state")
         self._numbers = {name: self.batch.expand(name) for name in self.task.varied}
@@ -91,11 +92,6 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     def __reduce__(self) -> tuple[Any, ...]:
         return partial(type(self), **self._settings), (self.task, self.num_envs)
-
-    @property
-    def state(self) -> State:
-        """The state that methods of the task take."""
-        return self._state
 
     @property
     def np_random(self) -> Any:  # pyright: ignore[reportIncompatibleMethodOverride]
@@ -141,8 +137,8 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
                 self._randoms[number], self._seeds[number] = seeding.np_random(seeds[number])
         self._begin(np.flatnonzero(chosen), ranges)
         info: dict[str, Any] = {}
-        _add(info, self.task.reset_info(self._state), chosen)
-        return self.task.observation(self._state), info
+        _add(info, self.task.reset_info(self.state), chosen)
+        return self.task.observation(self.state), info
 
     def step(
         self, actions: Any
@@ -152,7 +148,7 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         Raises:
             InputError: the actions have another shape, or are not finite; or there was no reset.
         """
-        task, state = self.task, self._state
+        task, state = self.task, self.state
         actions = check_actions(actions, self.action_space.shape)
         if not self._episodes.all():
             raise InputError("simulations must be reset before they are stepped: call reset()")
@@ -198,7 +194,7 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         for number in range(self.num_envs):
             model, data = self.batch.get_model(number), self.batch.get_data(number)
             mujoco.mj_forward(model, data)
-            frames.append(self.cameras.look(model, data, int(self._state.active[number])))
+            frames.append(self.cameras.look(model, data, int(self.state.active[number])))
         return tuple(frames)
 
     def close_extras(self, **kwargs: Any) -> None:
@@ -217,7 +213,7 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         return random
 
     def _begin(self, ids: np.ndarray, ranges: SandRanges | None) -> None:
-        task, state = self.task, self._state
+        task, state = self.task, self.state
         samples, starts = [], []
         for number in ids:
             random = self._random(number)
@@ -236,13 +232,13 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     def _finish(self, info: dict[str, Any], over: np.ndarray, only_step: dict[str, Any]) -> None:
         """Put the last observation and `info` of finished episodes into `info`, as in Gymnasium."""
-        last = self.task.observation(self._state)
+        last = self.task.observation(self.state)
         final = np.full(self.num_envs, None, object)
         for number in np.flatnonzero(over):
             final[number] = last[number].copy()
         info["final_obs"], info["_final_obs"] = final, over.copy()
         ended: dict[str, Any] = {}
-        _add(ended, self.task.reset_info(self._state) | only_step, over)
+        _add(ended, self.task.reset_info(self.state) | only_step, over)
         info["final_info"], info["_final_info"] = ended, over.copy()
 
 

@@ -181,9 +181,6 @@ class Go1Velocity(Task):
     sizes of the weights above, such as `linear_weight=3`, `frame_skip=4` substeps of 5 ms, and
     those of `Task`: the medium, randomised sand and so on. `bodies` are the feet unless given. The
     default resolution is 2.
-
-    ## Version History
-    v0: first.
     """
 
     title: ClassVar[str] = "a Unitree Go1 follows commands of velocity"
@@ -636,25 +633,16 @@ class Go2Velocity(Go1Velocity):
     ## Action Space
     `Box(-1, 1, (12,), float32)`: that of `Go1Velocity`, whatever the order of joints in the file.
 
-    ## Observation Space
-    `Box(-inf, inf, (47,), float64)`: that of `Go1Velocity`.
-
-    ## Rewards
-    Those of `Go1Velocity`.
-
-    ## Starting State
-    As in `Go1Velocity`.
-
     ## Episode End
     As in `Go1Velocity`, but the trunk meets the surface at 0.107 m above it.
-
-    ## Arguments
-    Those of `Go1Velocity`, `frame_skip=4` as there.
-
-    ## Version History
-    v0: first.
     """
 
+    sections: ClassVar[dict[str, str]] = Task.sections | {
+        "Observation Space": "`Box(-inf, inf, (47,), float64)`: that of `Go1Velocity`.",
+        "Rewards": "Those of `Go1Velocity`.",
+        "Starting State": "As in `Go1Velocity`.",
+        "Arguments": "Those of `Go1Velocity`, `frame_skip=4` as there.",
+    }
     title: ClassVar[str] = "a Unitree Go2 follows commands of velocity"
     motors: ClassVar[dict[str, Motor]] = {  # as in MuJoCo Menagerie
         "hip": Motor(23.7, 0.01),
@@ -712,9 +700,6 @@ class G1Velocity(Go1Velocity):
     ## Arguments
     Those of `Go1Velocity`, `frame_skip=4` as there; `command_x=(-0.4, 0.8)`,
     `command_y=(-0.3, 0.3)`, `command_yaw=(-0.8, 0.8)`.
-
-    ## Version History
-    v0: first.
     """
 
     title: ClassVar[str] = "a Unitree G1 follows commands of velocity"

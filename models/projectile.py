@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal, get_args
 
 import mujoco
@@ -47,40 +48,31 @@ class Projectile(Link):
         return radius, radius, half
 
     @property
+    def solid(self) -> tuple[mujoco.mjtGeom, tuple[float, float, float]]:
+        """Type and size of its geom."""
+        kinds, (x, y, z) = mujoco.mjtGeom, self.halves
+        return {
+            "sphere": (kinds.mjGEOM_SPHERE, (x, 0.0, 0.0)),
+            "ellipsoid": (kinds.mjGEOM_ELLIPSOID, (x, y, z)),
+            "box": (kinds.mjGEOM_BOX, (x, y, z)),
+            "plate": (kinds.mjGEOM_BOX, (x, y, z)),
+            "cylinder": (kinds.mjGEOM_CYLINDER, (x, z, 0.0)),
+        }.get(self.shape, (kinds.mjGEOM_CAPSULE, (x, z - x, 0.0)))
+
+    @property
     def mass(self) -> float:
-        x, y, z = self.halves
-        volume = {
-            "sphere": 4 / 3 * math.pi * x * y * z,
-            "ellipsoid": 4 / 3 * math.pi * x * y * z,
-            "box": 8 * x * y * z,
-            "plate": 8 * x * y * z,
-            "capsule": math.pi * x * x * (2 * (z - x) + 4 / 3 * x),
-        }.get(self.shape, 2 * math.pi * x * x * z)
-        return self.density * volume
+        return super().mass if self.shape == "link" else float(self._alone.body_mass[1])
 
     @property
     def inertia(self) -> float:
-        if self.shape == "link":
-            return super().inertia
-        return self._moments()[1]
+        return super().inertia if self.shape == "link" else float(self._alone.body_inertia[1, 1])
 
-    def _moments(self) -> tuple[float, float, float]:
-        """Return moments of inertia about x, y and z through C [kg m^2]."""
-        x, y, z = self.halves
-        m = self.mass
-        if self.shape in ("sphere", "ellipsoid"):
-            return m / 5 * (y * y + z * z), m / 5 * (x * x + z * z), m / 5 * (x * x + y * y)
-        if self.shape in ("box", "plate"):
-            return m / 3 * (y * y + z * z), m / 3 * (x * x + z * z), m / 3 * (x * x + y * y)
-        if self.shape == "cylinder":
-            across = m * (3 * x * x + 4 * z * z) / 12
-            return across, across, m * x * x / 2
-        # A capsule: a cylinder of half height h, and hemispheres with their centers at its ends.
-        h = z - x
-        tube, ends = self.density * 2 * math.pi * x * x * h, self.density * 4 / 3 * math.pi * x**3
-        across = tube * (3 * x * x + 4 * h * h) / 12
-        across += ends * (2 / 5 * x * x + h * h + 3 / 4 * x * h)
-        return across, across, tube * x * x / 2 + ends * 2 / 5 * x * x
+    @cached_property
+    def _alone(self) -> mujoco.MjModel:
+        """The solid on its own, of which MuJoCo computes mass and inertia."""
+        spec, (kind, size) = mujoco.MjSpec(), self.solid
+        spec.worldbody.add_body().add_geom(type=kind, size=size, density=self.density)
+        return spec.compile()
 
     @property
     def reach(self) -> float:
@@ -91,21 +83,10 @@ class Projectile(Link):
         if self.shape == "link":
             return spec
         spec.delete(spec.text(LAW_TEXT))
-        kinds = mujoco.mjtGeom
-        x, y, z = self.halves
-        geom = spec.geom("link")
-        geom.type, geom.size = {
-            "sphere": (kinds.mjGEOM_SPHERE, [x, 0, 0]),
-            "ellipsoid": (kinds.mjGEOM_ELLIPSOID, [x, y, z]),
-            "box": (kinds.mjGEOM_BOX, [x, y, z]),
-            "plate": (kinds.mjGEOM_BOX, [x, y, z]),
-            "cylinder": (kinds.mjGEOM_CYLINDER, [x, z, 0]),
-            "capsule": (kinds.mjGEOM_CAPSULE, [x, z - x, 0]),
-        }[self.shape]
-        body = spec.body("link")
-        body.mass = self.mass
-        body.inertia = self._moments()
-        spec.site("T").pos = [0, 0, -z]
+        geom, body, alone = spec.geom("link"), spec.body("link"), self._alone
+        geom.type, geom.size = self.solid
+        body.mass, body.inertia = alone.body_mass[1], alone.body_inertia[1]
+        spec.site("T").pos = [0, 0, -self.halves[2]]
         return spec
 
     def lowest(self, q: float) -> tuple[float, float]:

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from mjgranular._util.checks import fits, is_text
+from mjgranular._util.checks import fits, is_text, kind_of
 from mjgranular.errors import InputError, OutputError, cut, one_line
 
 # Far larger than what the package writes; chosen, not measured.
@@ -119,7 +119,7 @@ def number(content: Mapping[str, Any], name: str, where: object) -> float | None
     """Return a finite number or None from a parsed object."""
     value = content.get(name, "")
     if not fits(value, float | None):
-        raise OutputError(f"{where} is damaged: {name} must be a number, not {_kind(value)}")
+        raise OutputError(f"{where} is damaged: {name} must be a number, not {kind_of(value)}")
     return None if value is None else float(value)
 
 
@@ -130,7 +130,7 @@ def checked_fields(cls: type, content: object, where: object) -> dict[str, Any]:
         if name not in hints:
             raise OutputError(f"{where} is damaged: there is no {name[:50]!r}")
         if not fits(value, hints[name]):
-            raise OutputError(f"{where} is damaged: {name} cannot be {_kind(value)}")
+            raise OutputError(f"{where} is damaged: {name} cannot be {kind_of(value)}")
     return fields
 
 
@@ -152,16 +152,8 @@ def _beginning(path: Path, most: int) -> bytes:
 
 def _object(content: object, where: object) -> dict[str, Any]:
     if not isinstance(content, dict):
-        raise OutputError(f"{where} is damaged: it must be an object, not {_kind(content)}")
+        raise OutputError(f"{where} is damaged: it must be an object, not {kind_of(content)}")
     return content
-
-
-def _kind(value: object) -> str:
-    if isinstance(value, (dict, list)):
-        return "an object" if isinstance(value, dict) else "a list"
-    if value is None or isinstance(value, (bool, int, float)):
-        return json.dumps(value)[:40]
-    return f"the string {str(value)[:40]!r}"
 
 
 def _constant(name: str, infinite: bool) -> float:

@@ -53,7 +53,8 @@ class Body(Projectile):
         sizes = diameter if length is None else length, diameter
         if mass is not None:
             check_finite("the body's mass", mass, "kg", positive=True)
-            density = mass / Projectile(*sizes, 1.0, shape).mass
+            volume = Projectile(*sizes, 1.0, shape).mass  # to MuJoCo 0 if it is less than this
+            density = mass / max(volume, mujoco.mjMINVAL)
         object.__setattr__(self, "is_heavy", density is not None)
         super().__init__(*sizes, _STEEL if density is None else density, shape)
 

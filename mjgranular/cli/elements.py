@@ -65,8 +65,7 @@ class ElementsCommand(options_of(Drop, *_CHOICE)):
         model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST  # RK4 would be an error
         data = mujoco.MjData(model)
         start_from(model, data, self.keyframe)
-        with warnings.catch_warnings():  # no step is made: a floor does not matter
-            warnings.simplefilter("ignore", FloorWarning)
+        with warnings.catch_warnings(action="ignore", category=FloorWarning):  # no step is made
             sand = Sand(model, drop.sand, scheme=Explicit(prescribed=True), shared=True)
         return sand, data
 

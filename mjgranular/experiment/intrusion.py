@@ -14,20 +14,14 @@ from mjgranular.experiment.drop import loading
 from mjgranular.experiment.trajectory import degrees
 from mjgranular.law import get_law
 from mjgranular.medium import get_medium
+from mjgranular.models import Projectile
 from mjgranular.sand import Sand
 from mjgranular.scheme import Explicit
 from mjgranular.shape.select import find_all
 
 Intruder = Literal["plate", "sphere", "cylinder", "capsule", "box"]
 _FORCES = ("resistance", "lift", "sideways")
-_SHAPES = {
-    "plate": (mujoco.mjtGeom.mjGEOM_BOX, (1.0, 1.0, 0.1)),
-    "box": (mujoco.mjtGeom.mjGEOM_BOX, (1.0, 1.0, 1.0)),
-    "sphere": (mujoco.mjtGeom.mjGEOM_SPHERE, (1.0, 0.0, 0.0)),
-    "cylinder": (mujoco.mjtGeom.mjGEOM_CYLINDER, (0.25, 1.0, 0.0)),
-    "capsule": (mujoco.mjtGeom.mjGEOM_CAPSULE, (0.25, 0.75, 0.0)),
-}
-"""Type and size of each intruder, in halves of `Intrusion.size`."""
+_THIN = {"plate": 0.1, "cylinder": 0.25, "capsule": 0.25}  # thickness, in `Intrusion.size`
 
 _MOST_POINTS = 100_000  # chosen: about a minute
 _HEAVY, _STEP = 1e12, 1e-5  # inertia of what keeps its motion [kg, kg m^2], time step [s]; chosen
@@ -159,7 +153,6 @@ class IntrusionResult:
         """Return one row: force at the end of the path, the greatest resistance, and the work."""
         resistance = self.force[:, 0]
         greatest = int(resistance.argmax())
-        steps = np.diff(self.travelled)
         return {
             "law": self.law,
             "medium": self.intrusion.medium,
@@ -169,7 +162,7 @@ class IntrusionResult:
             **dict(zip(_FORCES, map(float, self.force[-1]), strict=True)),
             "greatest_resistance": float(resistance[greatest]),
             "depth_of_greatest": float(self.depth[greatest]),
-            "work": float(((resistance[1:] + resistance[:-1]) / 2 * steps).sum()),
+            "work": float(np.trapezoid(resistance, self.travelled)),
             "within_validity": float(self.valid.mean()),
         }
 
@@ -239,8 +232,9 @@ def _model(intrusion: Intrusion) -> mujoco.MjModel:
         spec = mujoco.MjSpec()
         body = spec.worldbody.add_body(name="intruder")
         body.add_freejoint()
-        kind, size = _SHAPES[intrusion.intruder]
-        body.add_geom(name="intruder", type=kind, size=np.array(size) * intrusion.size / 2)
+        thickness = _THIN.get(intrusion.intruder, 1.0) * intrusion.size
+        kind, size = Projectile(intrusion.size, thickness, shape=intrusion.intruder).solid
+        body.add_geom(name="intruder", type=kind, size=size)
         return spec.compile()
     with loading(intrusion.model):
         spec = mujoco.MjSpec.from_file(str(intrusion.model))

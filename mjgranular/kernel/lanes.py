@@ -144,11 +144,7 @@ def root(typingctx: Any, value: Any) -> Any:
     """Return the square root in each lane. Also for numbers."""
     if not isinstance(value, (Lanes, types.Float)):
         return None
-
-    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        return _call(builder, "sqrt", args[0])
-
-    return value(value), codegen
+    return value(value), lambda context, builder, sig, args: _call(builder, "sqrt", args[0])
 
 
 @intrinsic

@@ -85,9 +85,6 @@ def views_at(views: Views) -> Any:
 
     @extending.intrinsic
     def at(typingctx: Any, address: Any) -> Any:
-        def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-            return args[0]
-
-        return views(types.int64), codegen
+        return views(types.int64), lambda context, builder, sig, args: args[0]
 
     return at

@@ -12,19 +12,11 @@ from mjgranular._util import files
 from mjgranular._util.io import number, read_arrays, read_json
 from mjgranular._util.result_folder import CONFIG
 from mjgranular.errors import OutputError
-from mjgranular.learn.run import (
-    CURVE,
-    NORMALIZER,
-    POLICY,
-    REPLAY,
-    STATE,
-    Run,
-    curve_text,
-    read_curve,
-)
+from mjgranular.learn.run import CURVE, NORMALIZER, POLICY, STATE, Run, curve_text, read_curve
 from mjgranular.learn.settings import Settings
 from mjgranular.learn.weights import add_spaces, check_spaces, read_weights
 
+_REPLAY = "replay.npz"
 _KEPT = 2  # checkpoints; the older one in case the newer is damaged
 _NUMBERS = ("count", "clip", "epsilon", "return_mean", "return_variance", "return_count")
 _REPLAY_ARRAYS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
@@ -58,7 +50,7 @@ def save_checkpoint(run: Run, model: Any, progress: Progress) -> None:
         add_spaces(folder / POLICY, model)
         (folder / CURVE).write_text(curve_text(progress.curve), encoding="utf-8")
         if hasattr(model, "replay_buffer"):
-            _write_replay(folder / REPLAY, model.replay_buffer)
+            _write_replay(folder / _REPLAY, model.replay_buffer)
         for name, table in tables.items():
             (folder / name).write_text(json.dumps(table, indent=2) + "\n", encoding="utf-8")
 
@@ -88,7 +80,7 @@ def load_checkpoint(
     for name, value in weights.counters.items():
         setattr(model, name, value)
     if hasattr(model, "replay_buffer"):
-        _read_replay(folder / REPLAY, model.replay_buffer)
+        _read_replay(folder / _REPLAY, model.replay_buffer)
     seconds = number(read_json(folder / STATE), "seconds", folder / STATE) or 0.0
     normalizer.restore(env)  # last: the environment is unchanged if anything was wrong
     return model, Progress(model.num_timesteps, seconds, read_curve(folder / CURVE))

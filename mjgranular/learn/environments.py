@@ -42,19 +42,18 @@ def for_training(
     from stable_baselines3.common.env_util import make_vec_env
     from stable_baselines3.common.vec_env import VecMonitor
 
-    batch = _has_vector_form(env_id)
-    if warp is not None and not batch:
+    if _has_vector_form(env_id):
+        make = importlib.import_module("mjgranular.envs.sb3").make_vec_env
+        return VecMonitor(
+            _made(env_id, arguments, lambda _, given: make(env_id, num_envs, warp=warp, **given))
+        )
+    if warp is not None:
         raise InputError(
             "MuJoCo Warp steps environments of mjgranular, such as mjgranular/Hopper-v0, in one "
             f"batch, not {env_id}: train with --engine local"
         )
-    if not batch:
-        return _made(
-            env_id, arguments, lambda _, given: make_vec_env(env_id, num_envs, env_kwargs=given)
-        )
-    make = importlib.import_module("mjgranular.envs.sb3").make_vec_env
-    return VecMonitor(
-        _made(env_id, arguments, lambda _, given: make(env_id, num_envs, warp=warp, **given))
+    return _made(
+        env_id, arguments, lambda _, given: make_vec_env(env_id, num_envs, env_kwargs=given)
     )
 
 

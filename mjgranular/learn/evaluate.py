@@ -99,8 +99,7 @@ def mean_of(values: Sequence[float] | np.ndarray) -> Mean:
     array = np.asarray(values, dtype=float)
     check_seeds(array.size)
     mean = float(array.mean())
-    error = float(array.std(ddof=1)) / np.sqrt(array.size)
-    half = float(stats.t.ppf((1 + _CONFIDENCE) / 2, array.size - 1)) * error
+    half = float(stats.t.ppf((1 + _CONFIDENCE) / 2, array.size - 1) * stats.sem(array))
     return Mean(mean, mean - half, mean + half, tuple(array.tolist()))
 
 

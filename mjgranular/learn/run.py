@@ -27,7 +27,6 @@ CURVE = "curve.csv"
 POLICY = "policy.zip"
 NORMALIZER = "normalizer.json"
 STATE = "state.json"
-REPLAY = "replay.npz"
 CURVE_COLUMNS = ("steps", "seconds", "episodes", "mean_return", "mean_length")
 PACKAGES = ("gymnasium", "stable-baselines3", "torch")
 """Packages that a training depends on; their versions are recorded."""

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from mjgranular._util.checks import kind_of, require
+from mjgranular._util.checks import check_kind, kind_of, require
 from mjgranular._util.io import place, read_file
 from mjgranular._util.parse import parse_number
 from mjgranular._util.registry import Registry
@@ -26,10 +26,7 @@ def register_medium(medium: Medium, *, replace: bool = False) -> Medium:
     Raises:
         InputError: another medium has that name and `replace` is false, or it is not a medium.
     """
-    if not isinstance(medium, Medium):
-        raise InputError(
-            f"register_medium takes a Medium, not {kind_of(medium)}; read_medium reads a YAML file"
-        )
+    check_kind(medium, Medium, "register_medium", "read_medium(path) for a YAML file")
     media.add(medium.name, medium, replace=replace)
     return medium
 

@@ -24,7 +24,7 @@ from mjgranular.kernel.vector import cross, dot, norm, read_vector, transposed, 
 from mjgranular.scheme.constraints import add_constraints
 from mjgranular.scheme.dense import add_scaled, clear, copy, inner
 from mjgranular.scheme.metric import add_free_bias, add_metric
-from mjgranular.scheme.workspace import DISCRETE, EULER, EULER_DAMPED, IMPLICIT, POLY
+from mjgranular.scheme.workspace import DISCRETE, EULER, IMPLICIT, POLY
 
 _JOINT = np.int32(mujoco.mjtObj.mjOBJ_JOINT)
 
@@ -47,14 +47,15 @@ def prepare_inertia(w):
         for k in range(w.M_rowadr[i], w.M_rowadr[i] + w.M_rownnz[i]):
             j = w.M_colind[k]
             inertia[i, j] = inertia[j, i] = w.M[k]
-    if w.integrator == EULER_DAMPED:
-        read_joint_damping(w)
+    if w.integrator == EULER:
+        if w.damped != 0:
+            read_joint_damping(w)
     elif w.integrator == IMPLICIT:
         smooth_derivative(w.model, w.data, 1)
         read_derivative(w, w.dofs)
     elif w.integrator == DISCRETE:
         add_metric(w)
-    elif w.integrator != EULER:
+    else:
         # implicitfast omits the derivative of the bias and reads the lower half of the rest; for
         # lone free bodies it uses all of both.
         smooth_derivative(w.model, w.data, 0)

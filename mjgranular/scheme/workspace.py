@@ -44,9 +44,9 @@ class Solver:
     worst: float
 
 
-EULER, EULER_DAMPED, IMPLICIT_FAST, IMPLICIT, DISCRETE = range(5)
-"""Terms that the integrator adds to the inertia: none, joint damping, the derivative of forces, all
-terms of the effective metric."""
+EULER = int(mujoco.mjtIntegrator.mjINT_EULER)
+IMPLICIT = int(mujoco.mjtIntegrator.mjINT_IMPLICIT)
+DISCRETE = int(mujoco.mjtIntegrator.mjINT_DISCRETE)
 
 POLY = int(mujoco.mjNPOLY)  # coefficients of damping beyond the linear one
 
@@ -59,10 +59,10 @@ _INTEGERS: tuple[str, ...] = (
     "lanes", "tile_size", "tile_count",  # of tiles of elements
     "model", "data",  # addresses of `mjModel` and `mjData`
     "within",  # 1 if forces are computed inside `mj_step`, among the passive ones
-    # This step's options (`read_options`): one of the five integrators above; whether the
-    # integrator adds damping besides that in the constraints; whether the constraints' Jacobian is
-    # sparse; whether their solver ends no farther from the solution than it starts; whether MuJoCo
-    # factors the effective metric whenever it computes it.
+    # This step's options (`read_options`): the integrator; whether it adds damping besides that in
+    # the constraints; whether the constraints' Jacobian is sparse; whether their solver ends no
+    # farther from the solution than it starts; whether MuJoCo factors the effective metric whenever
+    # it computes it.
     "integrator", "damped", "sparse", "descends", "factored",
     "nefc", "ncon", "nJ",  # of this step's constraints (`open_constraints`)
     "count",  # of tiles filled in this step
@@ -213,9 +213,6 @@ def lone_free_dofs(model: mujoco.MjModel) -> np.ndarray:
     return np.flatnonzero(free & (root_dofs[model.body_rootid[model.dof_bodyid]] == 6))
 
 
-_INTEGRATOR_IMPLICIT = int(mujoco.mjtIntegrator.mjINT_IMPLICIT)
-_INTEGRATOR_FAST = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
-_INTEGRATOR_DISCRETE = int(mujoco.mjtIntegrator.mjINT_DISCRETE)
 _CG, _NEWTON = int(mujoco.mjtSolver.mjSOL_CG), int(mujoco.mjtSolver.mjSOL_NEWTON)
 _NO_DAMPING = int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP | mujoco.mjtDisableBit.mjDSBL_DAMPER)
 _NO_WARMSTART = int(mujoco.mjtDisableBit.mjDSBL_WARMSTART)
@@ -234,17 +231,10 @@ def read_options(table, w):
     primal = options.solver == _CG or options.solver == _NEWTON
     warm = options.disableflags & _NO_WARMSTART == 0
     w.descends = np.int64(primal and options.noslip_iterations == 0 and warm)
-    if options.integrator == _INTEGRATOR_IMPLICIT:
-        w.integrator = IMPLICIT
-    elif options.integrator == _INTEGRATOR_FAST:
-        w.integrator = IMPLICIT_FAST
-    elif options.integrator == _INTEGRATOR_DISCRETE:
-        w.integrator = DISCRETE
-    elif options.disableflags & _NO_DAMPING == 0 and has_damping(w):
-        w.integrator = EULER_DAMPED
-    else:
-        w.integrator = EULER
-    w.damped = w.integrator != EULER and w.integrator != DISCRETE
+    w.integrator = options.integrator
+    w.damped = w.integrator != DISCRETE
+    if w.integrator == EULER:
+        w.damped = options.disableflags & _NO_DAMPING == 0 and has_damping(w)
     w.factored = options.enableflags & _EXACT_DIAGONAL != 0
 
 

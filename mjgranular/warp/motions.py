@@ -17,7 +17,7 @@ import warp as wp
 
 from mjgranular.kernel import motion
 from mjgranular.law.kernel import LawKernel
-from mjgranular.law.multiplier import TWO_LIMITS
+from mjgranular.law.multiplier import TWO_LIMITS, softened
 from mjgranular.law.secant import secant
 from mjgranular.warp.grid import struct
 from mjgranular.warp.translate import struct_of, translated
@@ -39,6 +39,7 @@ moves least; about others the power about a standing foot is a difference of lar
 WarpMotion = struct_of(motion.Motion)
 
 secant_of, velocity_at = translated(secant), translated(motion.velocity_at)
+_soft = translated(softened)
 
 
 @wp.func
@@ -120,11 +121,6 @@ def resistance_of(kernel: LawKernel) -> Any:
     if kernel.multiplier is TWO_LIMITS:
         return _two_limits(respond)
     return _one_limit(respond)
-
-
-@wp.func
-def _soft(square: float, eps: float):
-    return 1.0 / wp.sqrt(square + eps * eps)
 
 
 @functools.cache

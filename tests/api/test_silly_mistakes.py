@@ -610,13 +610,13 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "list for ranges": (
         lambda: task("Hopper", randomise=[1, 2]),
-        "randomise must be a SandRanges(strength=(0.5, 2), ...), not a list",
+        "randomise takes a SandRanges, not a list; use SandRanges(strength=(0.5, 2), ...)",
     ),
     "gait of an environment": (
         lambda: gait_of(task("LinkDrop")),
-        "a gait is of a task, which an environment has as env.unwrapped.task",
+        "gait takes a Task, not",
     ),
-    "gait of an id": (lambda: gait_of("mjgranular/LinkDrop-v0"), "env.unwrapped.task, not of"),
+    "gait of an id": (lambda: gait_of("mjgranular/LinkDrop-v0"), "; use env.unwrapped.task"),
     "environment that is made already": (
         lambda: on_sand(task("LinkDrop")),
         "on_sand makes the environment itself, from its class or its id",

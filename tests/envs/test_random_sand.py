@@ -313,7 +313,7 @@ def test_wrong_input_is_told():
         SandRanges(laws=("wet",))
     with pytest.raises(UnknownNameError, match=r"no surface 'sea'; there are: plane, dunes"):
         SandRanges(surfaces=("sea",))
-    with pytest.raises(InputError, match="randomise must be a SandRanges"):
+    with pytest.raises(InputError, match="randomise takes a SandRanges"):
         SandEnv("Hopper", randomise=[1, 2])
     # Not a TypeError: Gymnasium's make raises such an error again, with one argument.
     with pytest.raises(UnknownNameError, match=r"no range of randomise 'strengh'.*strength"):

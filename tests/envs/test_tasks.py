@@ -277,7 +277,7 @@ def test_a_drop_is_that_of_sand_step(angle, spin):
 def test_the_lower_end_meets_the_sand_at_the_speed_that_is_asked_for():
     env = SandEnv("LinkDrop", frame_skip=1)
     observation, _ = env.reset(seed=0)
-    task, state = env.task, env._state
+    task, state = env.task, env.state
     task.act(np.array([[0.3, -0.7]]), state)
     mujoco.mj_forward(env.model, env.data)
     velocity = np.zeros(6)

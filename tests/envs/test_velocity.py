@@ -153,7 +153,7 @@ def test_the_scripted_walk_lifts_one_leg_in_turn_with_level_soles():
     for step in range(25, 65):  # after half a second of standing
         env.data.userdata[0] = step
         env.state.found.clear()
-        targets.append(task._trot(env._state)[0].reshape(2, 6))
+        targets.append(task._trot(env.state)[0].reshape(2, 6))
     hip, knee, ankle = (np.array(targets)[:, :, part] for part in (0, 3, 4))
     assert np.abs(hip + knee + ankle).max() == pytest.approx(0.0, abs=1e-12)
     assert knee.max(axis=0) == pytest.approx([0.7, 0.7], rel=0.01)
@@ -225,7 +225,7 @@ def test_velocities_are_those_of_the_trunk_in_its_own_frame():
     found = np.zeros(6)
     mujoco.mj_objectVelocity(env.model, env.data, mujoco.mjtObj.mjOBJ_XBODY, 1, found, 1)
     assert info["velocity"] == pytest.approx(found[3:], abs=1e-9)
-    assert env.task.observe(env._state)[0, 3:6] == pytest.approx(found[:3], abs=1e-9)
+    assert env.task.observe(env.state)[0, 3:6] == pytest.approx(found[:3], abs=1e-9)
 
 
 def test_gravity_leans_with_the_slope():
@@ -266,13 +266,13 @@ def test_a_fall_ends_the_episode():
     env = SandEnv(Go1Velocity(**STILL))
     env.reset(seed=0)
     env.data.qpos[3:7] = math.cos(0.7), math.sin(0.7), 0, 0  # 80 degrees
-    assert env.task.terminated(env._state)[0]
+    assert env.task.terminated(env.state)[0]
     env.data.qpos[3:7] = 1, 0, 0, 0
-    assert not env.task.terminated(env._state)[0]
+    assert not env.task.terminated(env.state)[0]
     env.data.qpos[2] = 0.065
-    assert not env.task.terminated(env._state)[0]
+    assert not env.task.terminated(env.state)[0]
     env.data.qpos[2] = 0.055  # the head is in the sand
-    assert env.task.terminated(env._state)[0]
+    assert env.task.terminated(env.state)[0]
 
 
 def test_a_trunk_near_the_sand_is_penalized():
@@ -397,7 +397,7 @@ def test_targets_follow_from_the_state_where_a_command_changes():
     env.reset(seed=0)
     for _ in range(5):
         env.step(ZERO)
-    userdata, state = env.data.userdata.copy(), env._state
+    userdata, state = env.data.userdata.copy(), env.state
     first = env.task.act(ZERO[None], state)
     env.data.userdata[:] = userdata
     state.found.clear()
