@@ -54,7 +54,7 @@ class Options:
 
     out: Path
     """Folder of the runs; those in it are not repeated, and unfinished ones are resumed."""
-    robots: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ("Hexapod", "Hopper")
+    robots: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ("Hexapod", "Hopper", "Walker2d")
     """Tasks of the package that stand on the ground."""
     seeds: int = 5
     """Runs on each ground."""
