@@ -45,6 +45,7 @@ GROUNDS: dict[str, dict[str, Any]] = {
     "sand": {},
     "drawn sand": {"randomise": DRAWN},
 }
+ROBOTS = ("Hexapod", "Hopper", "Walker2d")
 EPISODES = 10
 
 
@@ -54,7 +55,7 @@ class Options:
 
     out: Path
     """Folder of the runs; those in it are not repeated, and unfinished ones are resumed."""
-    robots: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ("Hexapod", "Hopper", "Walker2d")
+    robots: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ROBOTS
     """Tasks of the package that stand on the ground."""
     seeds: int = 5
     """Runs on each ground."""
