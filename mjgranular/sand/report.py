@@ -196,8 +196,15 @@ def describe(
                 found=found,
             )
         )
-    named = (names, sand.medium.name, sand.law.name)
-    return Report(float(data.time), tuple(bodies), table, *named, solver)
+    return Report(
+        time=float(data.time),
+        bodies=tuple(bodies),
+        elements=table,
+        names=names,
+        medium=sand.medium.name,
+        law=sand.law.name,
+        solver=solver,
+    )
 
 
 def _element_records(
