@@ -50,9 +50,10 @@ def remove_wrenches_of(header):
     """Restore what `add_wrenches_of` saved."""
     bodies = bodies_of(table_at(header.table))
     for slot in range(len(bodies)):
-        row = row_of(header.xfrc, bodies[slot].body, 6)
+        body = bodies[slot]
+        row = row_of(header.xfrc, body.body, 6)
         for k in range(6):
-            row[k] = bodies[slot].user_wrench[k]
+            row[k] = body.user_wrench[k]
 
 
 @compiled
