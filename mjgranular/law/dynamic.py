@@ -14,6 +14,7 @@ from mjgranular.law.raised import RATE, cone_under
 from mjgranular.law.rft import RftLaw
 from mjgranular.law.rft2d import Rft2dLaw
 from mjgranular.law.rft3d import Rft3dLaw, rft3d_slope
+from mjgranular.law.slip import SLIP
 from mjgranular.law.validity import Finding, Limit, findings_of
 from mjgranular.medium import Medium, get_medium
 
@@ -112,6 +113,7 @@ class DynamicRft3dLaw(_Dynamic, Rft3dLaw):
     cone: float = cone_under(FRICTION)
     rate: float = RATE
     lateral: float = (1.0 + cone_under(FRICTION)) * lateral_strength(FRICTION)
+    slip: float = SLIP
 
     @classmethod
     def lateral_in(cls, given: dict[str, Any]) -> float:
@@ -137,3 +139,4 @@ class DynamicRft2dLaw(_Dynamic, Rft2dLaw):
     added: float = ADDED
     cone: float = cone_under(FRICTION)
     lateral: float = 1.0 + cone_under(FRICTION)
+    slip: float = SLIP

@@ -18,6 +18,7 @@ from mjgranular.law.facet_slope import (
 from mjgranular.law.kernel import AddedMass, LawKernel
 from mjgranular.law.patch import immersed_part, immersed_share
 from mjgranular.law.raised import not_raised
+from mjgranular.law.slip import hidden_motion
 
 LANES = 8
 # A multiplier whose square is smaller has no direction. Chosen: far above the smallest number.
@@ -62,6 +63,9 @@ class FacetSample(NamedTuple):
     push: float  # lambda rho area: the inertial term's [N s^2/m^2]
     moved: float  # sand that moves with the facet once it is immersed [kg]
     entry: float  # depth over which that builds up, besides the facet's own height [m]
+    hidden: Vector  # motion with which skin slides along itself, over the facet's speed (`law.slip`)
+    slips: float  # share of it that sand does not follow
+    rubs: float  # share of the traction that opposes the facet's motion along itself
 
 
 @cache
@@ -83,7 +87,7 @@ def facet_kernel(
     (`facet_added`); `raised` is the factor on static resistance (`law.raised`).
 
     The law's record has `inertia`, lambda rho [kg/m^3], and `rise`, 1 if the surface behind a
-    turning body is lowered; with added mass also `added`, kappa, and `density`, rho.
+    turning body is lowered, and `slip` (`law.slip`); with added mass also `added`, kappa, and `density`, rho.
     """
 
     @partial(compiled, inline=True)
@@ -108,7 +112,7 @@ def facet_kernel(
         if not is_plane and all_of(depth <= 0.0):
             return FacetSample(
                 depth, 0.0, point, point, up, point, point, middle, rise_1, rise_2,
-                depth, depth, depth, depth, depth, depth,
+                depth, depth, depth, depth, depth, depth, point, depth, depth,
             )  # fmt: skip
         lowered = middle
         if law.rise != 0.0:
@@ -126,6 +130,9 @@ def facet_kernel(
             # If that point is dry, the facet's middle is not above the sand but beside it.
             below, _ = look(surface, centre, outward)
             depth = middle if below <= 0.0 else depth
+        hidden, slips, rubs = 0.0 * outward, 0.0 * middle, 0.0 * middle
+        if law.slip > 0.0:
+            hidden, slips, rubs = hidden_motion(law, facet, pose, centre, outward, g)
         factor, cone = raised(law, facet, pose, centre, outward, up, mean, g)
         return FacetSample(
             depth,
@@ -144,6 +151,9 @@ def facet_kernel(
             choose(depth <= 0.0, 0.0, law.inertia * facet.area * share),
             moved(law, facet, dot(outward, up), mean),
             _ENTRY * facet.face,
+            hidden,
+            slips,
+            rubs,
         )
 
     def respond_kernel(led: Any) -> Any:
@@ -171,9 +181,10 @@ def facet_kernel(
     @partial(compiled, inline=True)
     def complexity(facet, law, p, eps):
         """Return `LawKernel.complexity`: a facet is simple if all or nothing of it leads."""
-        lead = dot(p, facet.normal)
-        reach = _ROUNDED * (abs(dot(p, facet.spread_1)) + abs(dot(p, facet.spread_2)))
-        bound = max(reach, RAMP * norm(p))
+        lead, speed = dot(p, facet.normal), norm(p)
+        turns = p - speed * facet.hidden
+        reach = _ROUNDED * (abs(dot(turns, facet.spread_1)) + abs(dot(turns, facet.spread_2)))
+        bound = max(reach, RAMP * speed)
         if eps == 0.0:
             size = abs(p.x) + abs(p.y) + abs(p.z)
             bound = reach + 2.0 * EDGE * size if reach > 0.0 else 0.0

@@ -25,6 +25,7 @@ from typing import Any
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.vector import across, cross, diagonal, dot, norm, outer, vector
 from mjgranular.law.patch import immersed_part, immersed_slope, leading_part, leading_slope
+from mjgranular.law.slip import followed, opposed, turned, turned_slope
 
 # In the search for the velocity at the end of a step, a flat face begins to lead over directions
 # within this sine of its plane on either side. Chosen: the search needs a slope where the law is
@@ -74,7 +75,8 @@ def led_slope_kernel(slope: Any) -> Any:
     @partial(compiled, inline=True)
     def led(facet, law, g, u, eps):
         n, z, spread_1, spread_2 = facet.normal, facet.up, facet.spread_1, facet.spread_2
-        c, a, b = dot(u, n), dot(u, spread_1), dot(u, spread_2)
+        c, along_1, along_2 = dot(u, n), dot(u, spread_1), dot(u, spread_2)
+        a, b = along_1 - dot(facet.hidden, spread_1), along_2 - dot(facet.hidden, spread_2)
         s, t = math.copysign(1.0, a), math.copysign(1.0, b)
         # h and k: the larger and the smaller of both sizes; x = c/h, y = k/h.
         a_size, b_size = abs(a), abs(b)
@@ -107,7 +109,9 @@ def led_slope_kernel(slope: Any) -> Any:
         m = n + la * spread_1 + lb * spread_2
         scale = 1.0 / norm(m)
         m = scale * m
-        rise, down, lead = dot(u, z), dot(m, z), dot(m, u)
+        down, leads = dot(m, z), dot(m, u)
+        w, size = followed(facet, m, u) if facet.slips > 0.0 else (u, 1.0)
+        rise, lead = dot(w, z), leads / size
         strength, f, by_rise, by_down, by_lead = dissipative(
             standing(slope(law, g, rise, down, lead), facet.cone, rise), rise, lead, eps
         )
@@ -116,10 +120,10 @@ def led_slope_kernel(slope: Any) -> Any:
         # Changes of the normal along itself, of n'.z and of n'.u when it turns toward a spread.
         an, bn = scale * dot(spread_1, m), scale * dot(spread_2, m)
         ad, bd = scale * dot(spread_1, z) - an * down, scale * dot(spread_2, z) - bn * down
-        al, bl = scale * a - an * lead, scale * b - bn * lead
+        al, bl = (scale * along_1 - an * leads) / size, (scale * along_2 - bn * leads) / size
 
         # Columns of the ratios x and y.
-        frame = vector(m, u, z)
+        frame = vector(m, w, z)
         f_x, f_y = (strength * load_x) * f, (strength * load_y) * f
         f_sided = (strength * immersed_a) * f
         f, by_down, by_lead = gain * f, gain * by_down, gain * by_lead
@@ -139,18 +143,24 @@ def led_slope_kernel(slope: Any) -> Any:
             second_h, second_k = (t, -t) if swap else (-t, t)
         xa, xb = -x * first_h, -x * second_h
         ya, yb = first_k - y * first_h, second_k - y * second_h
-        gradient_x = n + xa * spread_1 + xb * spread_2 - (c + xa * a + xb * b) * u
-        gradient_y = ya * spread_1 + yb * spread_2 - (ya * a + yb * b) * u
+        gradient_x = n + xa * spread_1 + xb * spread_2 - (c + xa * along_1 + xb * along_2) * u
+        gradient_y = ya * spread_1 + yb * spread_2 - (ya * along_1 + yb * along_2) * u
 
         force, by_p = plate_slope(f, gain * by_rise, by_lead, frame, rise, lead)
+        if facet.slips > 0.0:
+            opposing = opposed(force, facet.rubs, m, u)
+            by_p = turned_slope(by_p, force, m, u, w, size, opposing)
+            force, share, along, traction, _ = opposing
+            column_x = turned(column_x, share, m, along, traction)
+            column_y = turned(column_y, share, m, along, traction)
         by_p = by_p + outer(column_x, per_h * gradient_x) + outer(column_y, per_h * gradient_y)
         if ramp:  # `sided` changes too
             f_sided = f_sided + al * by_lead + ad * by_down - vector(f.x * an, 0.0, 0.0)
             column = la_sided * (dot(f_sided, frame) + turn * spread_1)
             sa, sb = s / first, sided * t / first
-            by_p = by_p + outer(column, sa * spread_1 + sb * spread_2 - (sa * a + sb * b) * u)
+            by_p = by_p + outer(column, sa * spread_1 + sb * spread_2 - (sa * along_1 + sb * along_2) * u)
         # Trailing parts may have an undefined stress, even NaN.
-        if gain <= 0.0 or lead <= edge_of(eps):
+        if gain <= 0.0 or leads <= edge_of(eps):
             force, by_p = vector(0.0, 0.0, 0.0), diagonal(0.0)
         return force, by_p
 
@@ -164,16 +174,22 @@ def simple_slope_kernel(slope: Any) -> Any:
     @partial(compiled, inline=True)
     def led(facet, law, g, u, eps):
         n, z = facet.normal, facet.up
-        rise, down, lead = dot(u, z), dot(n, z), dot(n, u)
+        down, leads = dot(n, z), dot(n, u)
+        w, size = followed(facet, n, u) if facet.slips > 0.0 else (u, 1.0)
+        rise, lead = dot(w, z), leads / size
         strength, f, by_rise, _, by_lead = dissipative(
             standing(slope(law, g, rise, down, lead), facet.cone, rise), rise, lead, eps
         )
         gain = strength * facet.mean * facet.area
         force, by_p = plate_slope(
-            gain * f, gain * by_rise, gain * by_lead, vector(n, u, z), rise, lead
+            gain * f, gain * by_rise, gain * by_lead, vector(n, w, z), rise, lead
         )
+        if facet.slips > 0.0:
+            opposing = opposed(force, facet.rubs, n, u)
+            by_p = turned_slope(by_p, force, n, u, w, size, opposing)
+            force = opposing[0]
         # Trailing parts may have an undefined stress, even NaN.
-        if gain <= 0.0 or lead <= (0.0 if eps > 0.0 else EDGE):
+        if gain <= 0.0 or leads <= (0.0 if eps > 0.0 else EDGE):
             force, by_p = vector(0.0, 0.0, 0.0), diagonal(0.0)
         return force, by_p
 
@@ -207,7 +223,8 @@ def led_by_differences(stress: Any) -> Any:
 
     @partial(compiled, inline=True)
     def led_stress(facet, law, g, u, eps):
-        c, a, b = dot(u, facet.normal), dot(u, facet.spread_1), dot(u, facet.spread_2)
+        turns = u - facet.hidden
+        c, a, b = dot(u, facet.normal), dot(turns, facet.spread_1), dot(turns, facet.spread_2)
         sided = 1.0
         if eps > 0.0 and abs(a) + abs(b) < RAMP:
             first = RAMP - abs(b)
@@ -216,8 +233,13 @@ def led_by_differences(stress: Any) -> Any:
         load, s, t = load_of(facet.middle, facet.rise_1, facet.rise_2, facet.mean, c, a, b, sided)
         m = facet.normal + s * facet.spread_1 + t * facet.spread_2
         m = m / norm(m)
-        more = 1.0 + facet.cone * dot(u, facet.up) * dot(u, facet.up)
-        force = (load * facet.area * more) * stress(law, g, m, u, facet.up)
+        w = u
+        if facet.slips > 0.0:
+            w, _ = followed(facet, m, u)
+        more = 1.0 + facet.cone * dot(w, facet.up) * dot(w, facet.up)
+        force = (load * facet.area * more) * stress(law, g, m, w, facet.up)
+        if facet.slips > 0.0:
+            force = opposed(force, facet.rubs, m, u)[0]
         if load <= 0.0 or dot(m, u) <= edge_of(eps):
             force = vector(0.0, 0.0, 0.0)
         # The fit describes leading faces; on the ramp it is also evaluated for slightly trailing

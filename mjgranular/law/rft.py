@@ -52,6 +52,8 @@ class RftLaw(Law):
         rate: rise of friction from slow flow to fast; optional.
         grain: diameter of a grain, which `rate` needs [m].
         lateral: factor L on lateral strength (`law.lateral`); 0 keeps `slope` unchanged.
+        slip: skin that slides along itself takes along sand within this tangent of its normal
+            (`law.slip`); 0 takes along all.
         rise: whether the surface behind a turning body is lowered.
     """
 
@@ -74,6 +76,7 @@ class RftLaw(Law):
     rate: float = 0.0
     grain: float = 0.0
     lateral: float = 0.0
+    slip: float = 0.0
     rise: bool
 
     @property
@@ -95,11 +98,11 @@ class RftLaw(Law):
     def check_options(self, *more: str) -> None:
         """Check the options; `more` names other numbers that must not be negative."""
         check_switch(f"{type(self).__name__}: rise", self.rise)
-        self.check_numbers(*more, "inertia", "added", "cone", "rate", "lateral")
+        self.check_numbers(*more, "inertia", "added", "cone", "rate", "lateral", "slip")
 
     def record(self, **numbers: Any) -> np.ndarray:
         """Return the record of these numbers and of those that all kernels of facets read."""
-        shared = ("added", "density", "rise", "cone", "lateral")
+        shared = ("added", "density", "rise", "cone", "lateral", "slip")
         numbers |= {name: getattr(self, name) for name in shared}
         return record_of(**numbers, inertia=self.inertia * self.density)
 

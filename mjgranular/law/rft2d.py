@@ -161,6 +161,8 @@ class Rft2dLaw(RftLaw):
         added: kappa of the added mass, see `Rft3dLaw`; 0 omits it.
         cone: mean depth of the stagnant sand under flat faces, in their widths; 0 omits it.
         lateral: L, factor on lateral strength (`law.lateral`); 0 omits it.
+        slip: tangent within which skin that slides along itself takes sand along (`law.slip`);
+            0 omits it.
         rise: lower the surface behind a turning body by r (r w^2/g), for wheels.
 
     Raises:
@@ -194,6 +196,7 @@ class Rft2dLaw(RftLaw):
     added: float = 0.0
     cone: float = 0.0
     lateral: float = 0.0
+    slip: float = 0.0
 
     def __post_init__(self) -> None:
         self.check_options("density", "scale")

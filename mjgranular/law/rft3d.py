@@ -170,6 +170,8 @@ class Rft3dLaw(RftLaw):
         rate: rise of internal friction from slow flow to fast, Jop et al. 2006; 0 omits it.
         grain: diameter of a grain [m], which `rate` needs.
         lateral: L, factor on lateral strength (`law.lateral`); 0 omits it.
+        slip: tangent within which skin that slides along itself takes sand along (`law.slip`);
+            0 omits it.
 
     Raises:
         InputError: a value outside its range.
@@ -198,6 +200,7 @@ class Rft3dLaw(RftLaw):
     rate: float = 0.0
     grain: float = 0.0
     lateral: float = 0.0
+    slip: float = 0.0
 
     def __post_init__(self) -> None:
         self.check_numbers("internal_friction", high=2.0)
