@@ -64,8 +64,10 @@ class FacetSample(NamedTuple):
     moved: float  # sand that moves with the facet once it is immersed [kg]
     entry: float  # depth over which that builds up, besides the facet's own height [m]
     hidden: Vector  # motion with which skin slides along itself, over the facet's speed (`law.slip`)
-    slips: float  # share of it that sand does not follow
+    along: Vector  # direction of the motion along the skin
+    slips: float  # the part of `hidden` that sand does not follow, per motion in that direction
     rubs: float  # share of the traction that opposes the facet's motion along itself
+    slides: float  # that motion over the facet's speed
 
 
 @cache
@@ -112,7 +114,8 @@ def facet_kernel(
         if not is_plane and all_of(depth <= 0.0):
             return FacetSample(
                 depth, 0.0, point, point, up, point, point, middle, rise_1, rise_2,
-                depth, depth, depth, depth, depth, depth, point, depth, depth,
+                depth, depth, depth, depth, depth, depth, point, point,
+                depth, depth, depth,
             )  # fmt: skip
         lowered = middle
         if law.rise != 0.0:
@@ -130,9 +133,11 @@ def facet_kernel(
             # If that point is dry, the facet's middle is not above the sand but beside it.
             below, _ = look(surface, centre, outward)
             depth = middle if below <= 0.0 else depth
-        hidden, slips, rubs = 0.0 * outward, 0.0 * middle, 0.0 * middle
+        hidden, along, slips, rubs, slides = 0.0 * outward, outward, 0.0 * mean, mean, mean
         if law.slip > 0.0:
-            hidden, slips, rubs = hidden_motion(law, facet, pose, centre, outward, g)
+            hidden, along, slips, rubs, slides = hidden_motion(
+                law, facet, pose, centre, outward, g, RAMP
+            )
         factor, cone = raised(law, facet, pose, centre, outward, up, mean, g)
         return FacetSample(
             depth,
@@ -152,8 +157,10 @@ def facet_kernel(
             moved(law, facet, dot(outward, up), mean),
             _ENTRY * facet.face,
             hidden,
+            along,
             slips,
             rubs,
+            slides,
         )
 
     def respond_kernel(led: Any) -> Any:

@@ -110,7 +110,7 @@ def led_slope_kernel(slope: Any) -> Any:
         scale = 1.0 / norm(m)
         m = scale * m
         down, leads = dot(m, z), dot(m, u)
-        w, size = followed(facet, m, u) if facet.slips > 0.0 else (u, 1.0)
+        w, size, e, d = followed(facet, m, u) if facet.slips > 0.0 else (u, 1.0, u, u)
         rise, lead = dot(w, z), leads / size
         strength, f, by_rise, by_down, by_lead = dissipative(
             standing(slope(law, g, rise, down, lead), facet.cone, rise), rise, lead, eps
@@ -148,11 +148,11 @@ def led_slope_kernel(slope: Any) -> Any:
 
         force, by_p = plate_slope(f, gain * by_rise, by_lead, frame, rise, lead)
         if facet.slips > 0.0:
-            opposing = opposed(force, facet.rubs, m, u)
-            by_p = turned_slope(by_p, force, m, u, w, size, opposing)
-            force, share, along, traction, _ = opposing
-            column_x = turned(column_x, share, m, along, traction)
-            column_y = turned(column_y, share, m, along, traction)
+            opposing = opposed(force, facet, m, u)
+            by_p = turned_slope(by_p, force, m, u, (w, size, e, d), opposing)
+            force, share, slid, traction, _, _ = opposing
+            column_x = turned(column_x, share, m, slid, traction)
+            column_y = turned(column_y, share, m, slid, traction)
         by_p = by_p + outer(column_x, per_h * gradient_x) + outer(column_y, per_h * gradient_y)
         if ramp:  # `sided` changes too
             f_sided = f_sided + al * by_lead + ad * by_down - vector(f.x * an, 0.0, 0.0)
@@ -175,7 +175,7 @@ def simple_slope_kernel(slope: Any) -> Any:
     def led(facet, law, g, u, eps):
         n, z = facet.normal, facet.up
         down, leads = dot(n, z), dot(n, u)
-        w, size = followed(facet, n, u) if facet.slips > 0.0 else (u, 1.0)
+        w, size, e, d = followed(facet, n, u) if facet.slips > 0.0 else (u, 1.0, u, u)
         rise, lead = dot(w, z), leads / size
         strength, f, by_rise, _, by_lead = dissipative(
             standing(slope(law, g, rise, down, lead), facet.cone, rise), rise, lead, eps
@@ -185,8 +185,8 @@ def simple_slope_kernel(slope: Any) -> Any:
             gain * f, gain * by_rise, gain * by_lead, vector(n, w, z), rise, lead
         )
         if facet.slips > 0.0:
-            opposing = opposed(force, facet.rubs, n, u)
-            by_p = turned_slope(by_p, force, n, u, w, size, opposing)
+            opposing = opposed(force, facet, n, u)
+            by_p = turned_slope(by_p, force, n, u, (w, size, e, d), opposing)
             force = opposing[0]
         # Trailing parts may have an undefined stress, even NaN.
         if gain <= 0.0 or leads <= (0.0 if eps > 0.0 else EDGE):
@@ -235,11 +235,11 @@ def led_by_differences(stress: Any) -> Any:
         m = m / norm(m)
         w = u
         if facet.slips > 0.0:
-            w, _ = followed(facet, m, u)
+            w = followed(facet, m, u)[0]
         more = 1.0 + facet.cone * dot(w, facet.up) * dot(w, facet.up)
         force = (load * facet.area * more) * stress(law, g, m, w, facet.up)
         if facet.slips > 0.0:
-            force = opposed(force, facet.rubs, m, u)[0]
+            force = opposed(force, facet, m, u)[0]
         if load <= 0.0 or dot(m, u) <= edge_of(eps):
             force = vector(0.0, 0.0, 0.0)
         # The fit describes leading faces; on the ramp it is also evaluated for slightly trailing

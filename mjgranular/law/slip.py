@@ -23,7 +23,7 @@ _NONE = 1e-30  # a square that counts as zero
 
 
 @partial(compiled, inline=True)
-def hidden_motion(law, facet, pose, centre, normal, g):
+def hidden_motion(law, facet, pose, centre, normal, g, ramp):
     """Return the hidden motion over the speed, q (S7), and the share of it in the traction (S8)."""
     motion = pose.motion
     turn = cross(transposed(pose.rotation) @ motion.angular, facet.normal)
@@ -34,20 +34,19 @@ def hidden_motion(law, facet, pose, centre, normal, g):
     v = velocity_at(motion, centre - pose.tree)
     lead = dot(v, normal)
     across = v - lead * normal
-    most = law.slip * choose(lead > 0.0, lead, 0.0)
+    least = ramp * root(dot(v, v))
+    most = law.slip * choose(lead > least, lead, least)
     square, both, beyond = dot(h, h), dot(h, across), dot(across, across) - most * most
     rest = both * both - square * beyond
     q = (both - root(choose(rest > 0.0, rest, 0.0))) / choose(square > _NONE, square, 1.0)
     q = choose(q < 1.0, q, 1.0)
     q = choose(beyond > 0.0, choose(q > 0.0, q, 0.0), 0.0)
     slow = _SLOW * g * facet.face + _NONE
-    gone = q * root(square)
-    share = 2.0 * gone / (gone + root(dot(across, across) + slow))
-    return (
-        (1.0 / root(dot(v, v) + slow)) * h,
-        q,
-        choose(share < 1.0, share, 1.0),
-    )
+    gone, slides = q * root(square), root(dot(across, across) + slow)
+    share = 2.0 * gone / (gone + slides)
+    per_speed, per_slide = 1.0 / root(dot(v, v) + slow), 1.0 / slides
+    share = choose(share < 1.0, share, 1.0)
+    return per_speed * h, per_slide * across, q * per_slide / per_speed, share, slides * per_speed
 
 
 @partial(compiled, inline=True)
@@ -60,50 +59,61 @@ def _along(edge, spread, turn, width):
 
 @partial(compiled, inline=True)
 def followed(facet, m, u):
-    """Return the direction of motion that sand follows, and the motion in it per unit speed (S7)."""
-    hidden = facet.hidden - dot(facet.hidden, m) * m
-    followed = u - facet.slips * hidden
+    """Return the direction of motion that sand follows, that motion per unit speed, its columns.
+
+    The motion is u - (e.u) d, linear in u; returned are e and d, both along the skin (S7).
+    """
+    e = facet.along - dot(facet.along, m) * m
+    d = facet.slips * (facet.hidden - dot(facet.hidden, m) * m)
+    followed = u - dot(e, u) * d
     size = norm(followed)
-    return (1.0 / size) * followed, size
+    return (1.0 / size) * followed, size, e, d
 
 
 @partial(compiled, inline=True)
-def opposed(force, share, m, u):
+def opposed(force, facet, m, u):
     """Return a force with a share of its traction turned against the motion u (S8).
 
-    Also what `turned` needs: the share, at least such that no energy is added, the direction of
-    slip, that of the traction, and the traction over the motion along the skin.
+    Also what `turned` needs: the share, at least such that no energy is added, the slip, and the
+    direction of the traction; and what the slip is relative to.
     """
     traction = force - dot(force, m) * m
     along = u - dot(u, m) * m
     size, speed = norm(traction), norm(along)
-    power = dot(force, u)
+    per = 1.0 / max(speed, facet.slides)
+    slip = per * along
+    share, power = facet.rubs, dot(force, u)
     if power > 0.0:
-        share = max(share, min(power / (dot(traction, u) + size * speed), 1.0))
-    per, per_speed = 1.0 / (size + _NONE), 1.0 / (speed + _NONE)
-    along = per_speed * along
-    force = force - share * (traction + size * along)
+        share = max(share, min(power / (dot(traction, u) + size * speed * speed * per), 1.0))
+    force = force - share * (traction + size * slip)
     force = force - max(dot(force, u), 0.0) * u  # of skin that begins to lead
-    return force, share, along, per * traction, size * per_speed
+    return force, share, slip, (1.0 / (size + _NONE)) * traction, size * per, speed > facet.slides
 
 
 @partial(compiled, inline=True)
-def turned(column, share, m, along, traction):
+def turned(column, share, m, slip, traction):
     """Return how a force after `opposed` changes with a change of the one before."""
     across = column - dot(column, m) * m
-    return column - share * (across + dot(traction, column) * along)
+    return column - share * (across + dot(traction, column) * slip)
 
 
 @partial(compiled, inline=True)
-def turned_slope(by_p, force, m, u, followed, size, opposing):
+def turned_slope(by_p, force, m, u, followed, opposing):
     """Return the derivative of |p| S(p / |p|) by p for the force after `opposed`.
 
-    `by_p` is that of the force before it, by the motion that sand follows, of a `size` per speed.
+    `by_p` is that of the force before it, by the motion that sand follows.
     """
-    after, share, along, traction, per = opposing
-    by_u = (1.0 / size) * (by_p - outer(force, followed))
+    after, share, slip, traction, per, is_full = opposing
+    w, size, e, d = followed
+    by_u = (1.0 / size) * (by_p - outer(force, w))
+    by_u = by_u - outer(by_u @ d, e)
     by_u = by_u - outer(by_u @ u, u)
     across = by_u - outer(m, transposed(by_u) @ m)
-    by_u = by_u - share * (across + outer(along, transposed(by_u) @ traction))
-    side = cross(m, along)
-    return outer(after, u) + by_u - (share * per) * outer(side, side)
+    by_u = by_u - share * (across + outer(slip, transposed(by_u) @ traction))
+    side = cross(m, u)
+    side = (1.0 / (norm(side) + _NONE)) * side
+    by_u = by_u - (share * per) * outer(side, side)
+    if not is_full:  # slip is in proportion to its speed
+        ahead = cross(side, m)
+        by_u = by_u - (share * per) * outer(ahead, ahead - dot(ahead, u) * u)
+    return outer(after, u) + by_u
