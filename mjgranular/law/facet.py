@@ -63,11 +63,13 @@ class FacetSample(NamedTuple):
     push: float  # lambda rho area: the inertial term's [N s^2/m^2]
     moved: float  # sand that moves with the facet once it is immersed [kg]
     entry: float  # depth over which that builds up, besides the facet's own height [m]
-    hidden: Vector  # motion with which skin slides along itself, over the facet's speed (`law.slip`)
+    # Of skin that slides along itself (`law.slip`), at the start of the step:
+    skips: Vector  # motion that sand does not follow, over that along the skin
     along: Vector  # direction of the motion along the skin
-    slips: float  # the part of `hidden` that sand does not follow, per motion in that direction
-    rubs: float  # share of the traction that opposes the facet's motion along itself
+    rubs: float  # share of the traction that opposes it
     slides: float  # that motion over the facet's speed
+    turn_1: float  # change of the motion along the normal, along both half edges, over the speed
+    turn_2: float
 
 
 @cache
@@ -115,7 +117,7 @@ def facet_kernel(
             return FacetSample(
                 depth, 0.0, point, point, up, point, point, middle, rise_1, rise_2,
                 depth, depth, depth, depth, depth, depth, point, point,
-                depth, depth, depth,
+                depth, depth, depth, depth,
             )  # fmt: skip
         lowered = middle
         if law.rise != 0.0:
@@ -133,9 +135,10 @@ def facet_kernel(
             # If that point is dry, the facet's middle is not above the sand but beside it.
             below, _ = look(surface, centre, outward)
             depth = middle if below <= 0.0 else depth
-        hidden, along, slips, rubs, slides = 0.0 * outward, outward, 0.0 * mean, mean, mean
+        skips, along, rubs = 0.0 * outward, outward, 0.0 * middle
+        slides, turn_1, turn_2 = rubs, rubs, rubs
         if law.slip > 0.0:
-            hidden, along, slips, rubs, slides = hidden_motion(
+            skips, along, rubs, slides, turn_1, turn_2 = hidden_motion(
                 law, facet, pose, centre, outward, g, RAMP
             )
         factor, cone = raised(law, facet, pose, centre, outward, up, mean, g)
@@ -156,11 +159,12 @@ def facet_kernel(
             choose(depth <= 0.0, 0.0, law.inertia * facet.area * share),
             moved(law, facet, dot(outward, up), mean),
             _ENTRY * facet.face,
-            hidden,
+            skips,
             along,
-            slips,
             rubs,
             slides,
+            turn_1,
+            turn_2,
         )
 
     def respond_kernel(led: Any) -> Any:
@@ -189,8 +193,9 @@ def facet_kernel(
     def complexity(facet, law, p, eps):
         """Return `LawKernel.complexity`: a facet is simple if all or nothing of it leads."""
         lead, speed = dot(p, facet.normal), norm(p)
-        turns = p - speed * facet.hidden
-        reach = _ROUNDED * (abs(dot(turns, facet.spread_1)) + abs(dot(turns, facet.spread_2)))
+        rise_1 = dot(p, facet.spread_1) - speed * facet.turn_1
+        rise_2 = dot(p, facet.spread_2) - speed * facet.turn_2
+        reach = _ROUNDED * (abs(rise_1) + abs(rise_2))
         bound = max(reach, RAMP * speed)
         if eps == 0.0:
             size = abs(p.x) + abs(p.y) + abs(p.z)

@@ -76,7 +76,7 @@ def led_slope_kernel(slope: Any) -> Any:
     def led(facet, law, g, u, eps):
         n, z, spread_1, spread_2 = facet.normal, facet.up, facet.spread_1, facet.spread_2
         c, along_1, along_2 = dot(u, n), dot(u, spread_1), dot(u, spread_2)
-        a, b = along_1 - dot(facet.hidden, spread_1), along_2 - dot(facet.hidden, spread_2)
+        a, b = along_1 - facet.turn_1, along_2 - facet.turn_2
         s, t = math.copysign(1.0, a), math.copysign(1.0, b)
         # h and k: the larger and the smaller of both sizes; x = c/h, y = k/h.
         a_size, b_size = abs(a), abs(b)
@@ -110,7 +110,7 @@ def led_slope_kernel(slope: Any) -> Any:
         scale = 1.0 / norm(m)
         m = scale * m
         down, leads = dot(m, z), dot(m, u)
-        w, size, e, d = followed(facet, m, u) if facet.slips > 0.0 else (u, 1.0, u, u)
+        w, size, e, d = followed(facet, m, u) if facet.rubs > 0.0 else (u, 1.0, u, u)
         rise, lead = dot(w, z), leads / size
         strength, f, by_rise, by_down, by_lead = dissipative(
             standing(slope(law, g, rise, down, lead), facet.cone, rise), rise, lead, eps
@@ -147,7 +147,7 @@ def led_slope_kernel(slope: Any) -> Any:
         gradient_y = ya * spread_1 + yb * spread_2 - (ya * along_1 + yb * along_2) * u
 
         force, by_p = plate_slope(f, gain * by_rise, by_lead, frame, rise, lead)
-        if facet.slips > 0.0:
+        if facet.rubs > 0.0:
             opposing = opposed(force, facet, m, u)
             by_p = turned_slope(by_p, force, m, u, (w, size, e, d), opposing)
             force, share, slid, traction, _, _ = opposing
@@ -175,7 +175,7 @@ def simple_slope_kernel(slope: Any) -> Any:
     def led(facet, law, g, u, eps):
         n, z = facet.normal, facet.up
         down, leads = dot(n, z), dot(n, u)
-        w, size, e, d = followed(facet, n, u) if facet.slips > 0.0 else (u, 1.0, u, u)
+        w, size, e, d = followed(facet, n, u) if facet.rubs > 0.0 else (u, 1.0, u, u)
         rise, lead = dot(w, z), leads / size
         strength, f, by_rise, _, by_lead = dissipative(
             standing(slope(law, g, rise, down, lead), facet.cone, rise), rise, lead, eps
@@ -184,7 +184,7 @@ def simple_slope_kernel(slope: Any) -> Any:
         force, by_p = plate_slope(
             gain * f, gain * by_rise, gain * by_lead, vector(n, w, z), rise, lead
         )
-        if facet.slips > 0.0:
+        if facet.rubs > 0.0:
             opposing = opposed(force, facet, n, u)
             by_p = turned_slope(by_p, force, n, u, (w, size, e, d), opposing)
             force = opposing[0]
@@ -223,8 +223,8 @@ def led_by_differences(stress: Any) -> Any:
 
     @partial(compiled, inline=True)
     def led_stress(facet, law, g, u, eps):
-        turns = u - facet.hidden
-        c, a, b = dot(u, facet.normal), dot(turns, facet.spread_1), dot(turns, facet.spread_2)
+        c, a, b = dot(u, facet.normal), dot(u, facet.spread_1), dot(u, facet.spread_2)
+        a, b = a - facet.turn_1, b - facet.turn_2
         sided = 1.0
         if eps > 0.0 and abs(a) + abs(b) < RAMP:
             first = RAMP - abs(b)
@@ -234,11 +234,11 @@ def led_by_differences(stress: Any) -> Any:
         m = facet.normal + s * facet.spread_1 + t * facet.spread_2
         m = m / norm(m)
         w = u
-        if facet.slips > 0.0:
+        if facet.rubs > 0.0:
             w = followed(facet, m, u)[0]
         more = 1.0 + facet.cone * dot(w, facet.up) * dot(w, facet.up)
         force = (load * facet.area * more) * stress(law, g, m, w, facet.up)
-        if facet.slips > 0.0:
+        if facet.rubs > 0.0:
             force = opposed(force, facet, m, u)[0]
         if load <= 0.0 or dot(m, u) <= edge_of(eps):
             force = vector(0.0, 0.0, 0.0)

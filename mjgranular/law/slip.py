@@ -24,17 +24,20 @@ _NONE = 1e-30  # a square that counts as zero
 
 @partial(compiled, inline=True)
 def hidden_motion(law, facet, pose, centre, normal, g, ramp):
-    """Return the hidden motion over the speed, q (S7), and the share of it in the traction (S8)."""
+    """Return what a facet that slides along itself has of `FacetSample`, from `skips` on.
+
+    A facet that leads by less than `ramp`, the sine of its angle to the motion, is taken to lead by
+    that.
+    """
     motion = pose.motion
     turn = cross(transposed(pose.rotation) @ motion.angular, facet.normal)
-    first = _along(facet.edges[0], facet.spread[0], turn, facet.face)
-    second = _along(facet.edges[1], facet.spread[1], turn, facet.face)
+    first, turn_1 = _along(facet.edges[0], facet.spread[0], turn, facet.face)
+    second, turn_2 = _along(facet.edges[1], facet.spread[1], turn, facet.face)
     h = pose.rotation @ (first * facet.edges[0] + second * facet.edges[1])
     h = (1.0 - facet.flat) * (h - dot(h, normal) * normal)
     v = velocity_at(motion, centre - pose.tree)
-    lead = dot(v, normal)
-    across = v - lead * normal
-    least = ramp * root(dot(v, v))
+    lead, speed = dot(v, normal), root(dot(v, v))
+    across, least = v - lead * normal, ramp * speed
     most = law.slip * choose(lead > least, lead, least)
     square, both, beyond = dot(h, h), dot(h, across), dot(across, across) - most * most
     rest = both * both - square * beyond
@@ -43,18 +46,28 @@ def hidden_motion(law, facet, pose, centre, normal, g, ramp):
     q = choose(beyond > 0.0, choose(q > 0.0, q, 0.0), 0.0)
     slow = _SLOW * g * facet.face + _NONE
     gone, slides = q * root(square), root(dot(across, across) + slow)
-    share = 2.0 * gone / (gone + slides)
-    per_speed, per_slide = 1.0 / root(dot(v, v) + slow), 1.0 / slides
-    share = choose(share < 1.0, share, 1.0)
-    return per_speed * h, per_slide * across, q * per_slide / per_speed, share, slides * per_speed
+    rubs = 2.0 * gone / (gone + slides)
+    per, per_slide = 1.0 / root(speed * speed + slow), 1.0 / slides
+    return (
+        (per_slide * q) * h,
+        per_slide * across,
+        choose(rubs < 1.0, rubs, 1.0),
+        per * slides,
+        per * turn_1,
+        per * turn_2,
+    )
 
 
 @partial(compiled, inline=True)
 def _along(edge, spread, turn, width):
-    """Return how much of an edge the skin slides along itself while its normal turns (S6) [1/s]."""
+    """Return what a round facet slides along an edge as its normal turns, in edges per second (S6).
+
+    Also how fast its middle moves along the normal of the edge's end [m/s].
+    """
     square = dot(spread, spread)
-    curved = _WIDEST * _WIDEST * width * width * square > dot(edge, edge)
-    return choose(curved, dot(spread, turn), 0.0) / choose(curved, square, 1.0)
+    is_round = _WIDEST * _WIDEST * width * width * square > dot(edge, edge)
+    slides = choose(is_round, dot(spread, turn), 0.0) / choose(is_round, square, 1.0)
+    return slides, choose(is_round, dot(edge, turn), 0.0)
 
 
 @partial(compiled, inline=True)
@@ -64,7 +77,7 @@ def followed(facet, m, u):
     The motion is u - (e.u) d, linear in u; returned are e and d, both along the skin (S7).
     """
     e = facet.along - dot(facet.along, m) * m
-    d = facet.slips * (facet.hidden - dot(facet.hidden, m) * m)
+    d = facet.skips - dot(facet.skips, m) * m
     followed = u - dot(e, u) * d
     size = norm(followed)
     return (1.0 / size) * followed, size, e, d

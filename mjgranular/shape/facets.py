@@ -86,17 +86,22 @@ def facets_from_model(
         if int(model.geom_type[geom]) == _GEOM.mjGEOM_MESH:
             vertices, faces, shells = mesh_faces(model, geom)
             mesh_arrays(model, geom)[1][:] = faces  # rays meet them as turned
-            corners, own = vertices[faces], shells
+            corners, parents = vertices[faces], np.arange(len(faces))
             if is_cut:
                 corners, parents = patches.pieces(corners, fine)
-                own = shells[parents]
             if hidden == "drop":
                 skin = tessellation.triangles(corners)
-                inside = within_others(corners, own, vertices[faces], shells)
-                corners = corners[~(inside | hidden_skin(model, data, geom, skin, ordered))]
-            facets = patches.gathered(corners, fine) if is_cut else patches.single(corners)
+                inside = within_others(corners, shells[parents], vertices[faces], shells)
+                seen = ~(inside | hidden_skin(model, data, geom, skin, ordered))
+                corners, parents = corners[seen], parents[seen]
+            bends, centers = patches.bends(vertices, faces), vertices[faces].mean(axis=1)
+            facets = patches.single(corners)
+            bent = facets.spread
+            if is_cut:
+                facets, bent = patches.gathered(corners, fine, bends[parents], centers[parents])
             width = sizes.geom_width(model, geom)
             flat = patches.flatness(facets.points, facets.normals, facets.areas, width)
+            facets.spread[flat == 0] += bent[flat == 0]
         else:
             skin = _skin(model, data, geom, fine)
             if hidden == "drop":

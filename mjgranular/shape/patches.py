@@ -28,6 +28,7 @@ _FLAT = 1e-6  # patches narrower than this share of their mesh have zero width; 
 # Of one flat face: normals within 10 degrees, and centers within a twentieth of the width; chosen.
 _PARALLEL, _COPLANAR = 0.985, 0.05
 _CURVED = math.sqrt(1 - _PARALLEL**2)  # such a fraction of a cylinder's projection is no flat face
+_SMOOTH = math.cos(math.radians(30))  # triangles at a smaller angle are of a round surface; chosen
 _ENOUGH = 2000  # maximum number of facets in the comparison; chosen
 _CANCELLED = 1e-6  # relative size of the summed area vectors below which a patch has no direction
 
@@ -54,14 +55,45 @@ def pieces(corners: np.ndarray, resolution: int) -> tuple[np.ndarray, np.ndarray
     return corners, parents
 
 
-def gathered(corners: np.ndarray, resolution: int) -> Facets:
+def bends(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Return how the normal of a round surface changes along each of its triangles [1/m].
+
+    At the middle of an edge it is the mean of both triangles', unless they differ by more than
+    30 degrees. Shape (n, 3, 3), the normal's components first; for vertices [m] and their faces.
+    """
+    corners = vertices[faces]
+    edges = np.roll(corners, -1, axis=1) - corners
+    vectors = np.cross(edges[:, 0], edges[:, 1])
+    square = np.maximum(np.einsum("ni,ni->n", vectors, vectors), np.finfo(float).tiny)
+    normals = vectors / np.sqrt(square)[:, None]
+    _, same = np.unique(vertices, axis=0, return_inverse=True)
+    ends = np.sort(np.stack([same[faces], same[np.roll(faces, -1, axis=1)]], axis=2), axis=2)
+    _, edge, count = np.unique(ends.reshape(-1, 2), axis=0, return_inverse=True, return_counts=True)
+    edge, own = edge.ravel(), np.repeat(normals, 3, axis=0)
+    both = np.stack([np.bincount(edge, column) for column in own.T], axis=1)[edge]
+    smooth = (count[edge] == 2) & (np.einsum("ni,ni->n", own, both - own) > _SMOOTH)
+    turned = np.zeros((len(own), 3))
+    turned[smooth] = both[smooth] / np.linalg.norm(both[smooth], axis=1)[:, None] - own[smooth]
+    # 1 at the middle of an edge, and 0 at the middles of the others.
+    slopes = 2.0 * np.cross(edges, vectors[:, None]) / square[:, None, None]
+    return np.einsum("nki,nkj->nij", turned.reshape(-1, 3, 3), slopes)
+
+
+def gathered(
+    corners: np.ndarray, resolution: int, bends: np.ndarray, centers: np.ndarray
+) -> tuple[Facets, np.ndarray]:
     """Group triangles into patches, at most twice the square of the resolution.
 
-    Their corners, counter-clockwise seen from outside [m], are of shape (n, 3, 3).
+    Their corners, counter-clockwise seen from outside [m], are of shape (n, 3, 3), also those of
+    the `bends` of the whole triangles that they are pieces of; these have `centers` [m]. Returns as
+    well what the bends add to the spread if the surface is round, shape (n, 2, 3).
     """
-    corners, vectors, areas = _with_area(corners)
+    there = _areas(corners)[1] > 0
+    corners, bends, centers = corners[there], bends[there], centers[there]
+    vectors, areas = _areas(corners)
     if not len(corners):
-        return Facets(*(np.zeros((0, *shape)) for shape in ((3,), (3,), (), (2, 3), (2, 3))))
+        nothing = np.zeros((0, 2, 3))
+        return Facets(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), nothing, nothing), nothing
     size, points, normals = _size(corners), corners.mean(axis=1), vectors / areas[:, None]
     places = np.concatenate([np.sqrt(_PLACE) / size * points, normals], axis=1)
     patch, count = _parted(places, areas, resolution)
@@ -79,10 +111,12 @@ def gathered(corners: np.ndarray, resolution: int) -> Facets:
     moments = total(areas[:, None, None] * (own + away[:, :, None] * away[:, None]))
     moments /= area[:, None, None]
     turning = total(away[:, :, None] * vectors[:, None]) / area[:, None, None]
+    bent = np.einsum("ni,nj->nij", away, np.einsum("nij,nj->ni", bends, points - centers))
+    bent = total(areas[:, None, None] * (bent + own @ bends.swapaxes(1, 2))) / area[:, None, None]
     sizes = np.linalg.norm(whole, axis=1)
     there = sizes > _CANCELLED * area
-    area, whole, middles, moments, turning, sizes = (
-        values[there] for values in (area, whole, middles, moments, turning, sizes)
+    area, whole, middles, moments, turning, bent, sizes = (
+        values[there] for values in (area, whole, middles, moments, turning, bent, sizes)
     )
     normals = whole / sizes[:, None]
     across = np.eye(3) - normals[:, :, None] * normals[:, None]
@@ -91,13 +125,14 @@ def gathered(corners: np.ndarray, resolution: int) -> Facets:
     wide = variances > (_FLAT * size) ** 2
     # Half as wide as a flat patch with these second moments; the normal turns over this distance.
     half = np.sqrt(3 * np.where(wide, variances, 0.0))[:, :, None]
-    slopes = axes @ turning / np.where(wide, variances, np.inf)[:, :, None]
-    return Facets(middles, normals, sizes, half * axes, half * slopes)
+    slope = half * axes / np.where(wide, variances, np.inf)[:, :, None]
+    return Facets(middles, normals, sizes, half * axes, slope @ turning), slope @ bent
 
 
 def single(corners: np.ndarray) -> Facets:
     """Return triangles as facets, each immersed and leading as a whole: no edges, no spread."""
-    corners, vectors, areas = _with_area(corners)
+    vectors, areas = _areas(corners)
+    corners, vectors, areas = corners[areas > 0], vectors[areas > 0], areas[areas > 0]
     nothing = np.zeros((len(areas), 2, 3))
     return Facets(corners.mean(axis=1), vectors / areas[:, None], areas, nothing, nothing)
 
@@ -160,16 +195,13 @@ def _parted(places: np.ndarray, areas: np.ndarray, resolution: int) -> tuple[np.
     return patch, int(patch.max()) + 1
 
 
-def _with_area(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the triangles that have an area: corners, area vectors, areas."""
+def _areas(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the area vectors of triangles, and their areas."""
     vectors = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
-    areas = np.linalg.norm(vectors, axis=1)
-    there = areas > 0
-    return corners[there], vectors[there], areas[there]
+    return vectors, np.linalg.norm(vectors, axis=1)
 
 
 def _size(corners: np.ndarray) -> float:
     """Return a size of a mesh [m] that, unlike its box, does not depend on its orientation."""
-    corners, _, areas = _with_area(corners)
-    points = corners.mean(axis=1)
+    areas, points = _areas(corners)[1], corners.mean(axis=1)
     return rod_length(points, areas, corners - points[:, None], 12)

@@ -144,9 +144,11 @@ class Facet:
     depth: float
     rises: tuple[float, float]
     push: float
-    hidden: np.ndarray
-    slips: float
-    rubs: float
+    skips: np.ndarray
+    along: np.ndarray
+    turns: tuple[float, float] = (0.0, 0.0)
+    rubs: float = 0.0
+    slides: float = 1.0
     cone: float = 0.3
 
     def immersed(self):
@@ -154,19 +156,19 @@ class Facet:
         return np.array([
             1.0, 0.0, 0.0, 0.0, 0.0, *self.normal, *self.up, *self.spread[0], *self.spread[1],
             self.depth, *self.rises, float(mean), AREA, self.cone, self.push, 0.0, 0.0,
-            *self.hidden, self.slips, self.rubs,
+            *self.skips, *self.along, self.rubs, self.slides, *self.turns,
         ])  # fmt: skip
 
     def rates(self, u):
         """c, a and b, on the ramp what is taken in their place."""
-        c, (a, b) = self.normal.astype(REAL) @ u, self.spread.astype(REAL) @ (u - self.hidden)
+        c, (a, b) = self.normal.astype(REAL) @ u, self.spread.astype(REAL) @ u - self.turns
         if abs(a) + abs(b) < RAMP:
             a = np.copysign(REAL(RAMP) - abs(b), a)
         return c, a, b
 
     def sided(self, u):
         """The share of a of `rates` that is not the ramp's."""
-        a, b = abs(self.spread.astype(REAL) @ (u - self.hidden))
+        a, b = abs(self.spread.astype(REAL) @ u - self.turns)
         return a / (RAMP - b) if a + b < RAMP else REAL(1)
 
     def force(self, stress, law, u):
@@ -178,17 +180,17 @@ class Facet:
         if load <= 0:
             return np.zeros(3, REAL)
         m = unit(n + s * spread[0] + t * spread[1])
-        w = unit(u - self.slips * (self.hidden - (self.hidden @ m) * m))
+        e, d = (x - (x @ m) * m for x in (self.along, self.skips))
+        w = unit(u - (e @ u) * d)
         found = stress(law, m, w, z) * (1 + self.cone * (w @ z) ** 2)
         found -= max(found @ w, REAL(0)) * w
-        return AREA * load * self.opposed(found, m, u)
+        return AREA * load * (self.opposed(found, m, u) if self.rubs > 0 else found)
 
     def opposed(self, found, m, u):
         """A share of the traction against the motion along the skin, at least one that slows it."""
-        if self.slips == 0:
-            return found
-        traction, along = found - (found @ m) * m, unit(u - (u @ m) * m)
+        traction, along = found - (found @ m) * m, u - (u @ m) * m
         against = -np.sqrt(traction @ traction) * along
+        against /= max(np.sqrt(along @ along), REAL(self.slides))
         share, gain = REAL(self.rubs), found @ u
         if gain > 0:
             share = max(share, min(gain / ((traction - against) @ u), REAL(1)))
@@ -225,11 +227,13 @@ def drawn(rng, slides=False):
     rises = tuple(rng.choice([0.0, 1.0], 2, p=[0.15, 0.85]) * rng.normal(size=2) * 0.02)
     reach = abs(rises[0]) + abs(rises[1])
     depth = rng.uniform(-0.6, 1.2) * (reach if rng.random() < 0.8 else 0.05)
-    hidden, slips, rubs = np.zeros(3), 0.0, 0.0
+    push, still = rng.choice([0.0, 0.4]), np.zeros(3)
+    facet = Facet(n, z, spread, depth, rises, push, still, still)
     if slides:
-        hidden, slips, rubs = np.cross(n, rng.normal(size=3)), rng.random(), rng.random()
-    push = rng.choice([0.0, 0.4])
-    facet = Facet(n, z, spread, depth, rises, push, hidden, slips, rubs)
+        facet.skips, facet.along = np.cross(n, rng.normal(size=3)), unit(np.cross(z, n))
+        facet.skips *= rng.random()
+        facet.rubs, facet.slides = rng.random(2)
+        facet.turns = tuple(rng.normal(size=2) * np.linalg.norm(spread, axis=1))
     across = unit(np.cross(n, rng.normal(size=3)))
     widest = max(float(np.abs(spread @ across).sum()), RAMP)
     sine = np.clip(rng.uniform(-1.05, 1.2) * widest, -0.99, 0.99)
@@ -294,7 +298,8 @@ def test_against_polygons_and_differences(kernels, name, slides):
         leading[branch(*rates)] += 1
         if expected.any():
             wet[branch(facet.depth, *facet.rises)] += 1
-    print(name, slides, np.percentile(off,[50,90,99]))
+    # How the followed motion turns with the mean normal is omitted.
+    assert np.median(off) < (0.01 if slides else CLOSE)
     assert leading.total() > 0.9 * count
     assert min(leading[x] for x in ("none", "all", "trapezium", "corner", "all but a corner")) > 4
     assert min(wet[x] for x in ("all", "trapezium", "corner", "all but a corner")) > 4

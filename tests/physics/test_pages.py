@@ -28,7 +28,7 @@ FIT = np.array([
     [0.05664, 0.20406, -0.02730], [-0.09269, 0.18519, 0.10911], [0.01892, 0.04934, -0.04097],
     [0.01033, 0.13527, 0.07881], [0.15120, -0.33207, -0.27519],
 ])  # fmt: skip
-G, UP, RAMP, KAPPA, LAMBDA = 9.81, np.array([0.0, 0.0, 1.0]), 0.05, 2.5, 1.1
+G, UP, RAMP, KAPPA, LAMBDA, SLIP = 9.81, np.array([0.0, 0.0, 1.0]), 0.05, 2.5, 1.1, 2.0
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 
 
@@ -102,6 +102,7 @@ class Facet:
         self.arm = middle + pressure @ edges - place
         self.v = velocity + np.cross(spin, self.arm)
         self.area, width = element["area"], element["face"]
+        self.slide(element, edges, spin)
         self.push = LAMBDA * page.rho * self.area * share
         if self.mean == 0:
             return
@@ -122,8 +123,28 @@ class Facet:
         # n and the arm turn together, so only the body's velocity turns against n.
         self.had = max(self.n @ self.v - h * np.cross(spin, self.n) @ velocity, 0)
 
+    def slide(self, element, edges, spin):
+        """(S6) to (S8): h, q, e, and the share b of the traction that opposes the motion."""
+        turn, speed, lead = np.cross(spin, self.n), np.linalg.norm(self.v), self.n @ self.v
+        h, slow, self.turns = np.zeros(3), 1e-6 * G * element["face"], np.zeros(2)
+        for k, (edge, spread) in enumerate(zip(edges, self.spread, strict=True)):
+            if spread @ spread > edge @ edge / (2 * element["face"]) ** 2:
+                h += (spread @ turn) / (spread @ spread) * edge
+                self.turns[k] = edge @ turn
+        h = (1 - element["flat"]) * (h - (h @ self.n) * self.n)
+        across = self.v - lead * self.n
+        most, q = SLIP * max(lead, RAMP * speed), 0.0
+        if across @ across > most**2 and h @ across > 0:
+            rest = (h @ across) ** 2 - h @ h * (across @ across - most**2)
+            q = min((h @ across - math.sqrt(max(rest, 0))) / (h @ h), 1)
+        self.slides, gone = math.sqrt(across @ across + slow), q * np.linalg.norm(h)
+        self.e, self.d = across / self.slides, q * h / self.slides
+        self.rubs = min(2 * gone / (gone + self.slides), 1)
+        scale = math.sqrt(speed**2 + slow)
+        self.turns, self.slides = self.turns / scale, self.slides / scale
+
     def static(self, u):
-        c, (a, b), moves = self.n @ u, self.spread @ u, 1.0
+        c, (a, b), moves = self.n @ u, self.spread @ u - self.turns, 1.0
         if abs(a) + abs(b) < RAMP:
             first = RAMP - abs(b)
             moves, a = abs(a) / first, math.copysign(first, a)
@@ -136,9 +157,20 @@ class Facet:
             * part(self.depth + self.rises @ [s, t], *(self.rises * (1 - abs(s), 1 - abs(t))))[2]
         )
         n = self.n + s * self.spread[0] + t * self.spread[1]
-        stress = self.page.stress(n / np.linalg.norm(n), u)
-        stress -= max(stress @ u, 0) * u
-        return self.strength * self.area * load * (1 + self.cone * u[2] ** 2) * stress
+        n /= np.linalg.norm(n)
+        e, d = (x - (x @ n) * n for x in (self.e, self.d))
+        w = u - (e @ u) * d  # (S7)
+        w /= np.linalg.norm(w)
+        stress = self.page.stress(n, w)
+        stress -= max(stress @ w, 0) * w
+        if d.any():  # (S8)
+            traction, along, share = stress - (stress @ n) * n, u - (u @ n) * n, self.rubs
+            against = -np.linalg.norm(traction) * along / max(np.linalg.norm(along), self.slides)
+            if stress @ u > 0:
+                share = max(share, min(stress @ u / ((traction - against) @ u), 1))
+            stress = stress + share * (against - traction)
+            stress -= max(stress @ u, 0) * u
+        return self.strength * self.area * load * (1 + self.cone * w[2] ** 2) * stress
 
     def force(self, v, part_kept, h):
         """The force at the velocity at the end of the step (A2, A3, A5)."""
