@@ -68,7 +68,8 @@ class FacetSample(NamedTuple):
     along: Vector  # direction of the motion along the skin
     rubs: float  # share of the traction that opposes it
     slides: float  # that motion over the facet's speed
-    turn_1: float  # change of the motion along the normal, along both half edges, over the speed
+    turn_0: float  # motion along the normal at the facet's middle, over the speed, beyond `point`'s
+    turn_1: float  # what turning takes from its change along both half edges
     turn_2: float
 
 
@@ -117,7 +118,7 @@ def facet_kernel(
             return FacetSample(
                 depth, 0.0, point, point, up, point, point, middle, rise_1, rise_2,
                 depth, depth, depth, depth, depth, depth, point, point,
-                depth, depth, depth, depth,
+                depth, depth, depth, depth, depth,
             )  # fmt: skip
         lowered = middle
         if law.rise != 0.0:
@@ -136,10 +137,10 @@ def facet_kernel(
             below, _ = look(surface, centre, outward)
             depth = middle if below <= 0.0 else depth
         skips, along, rubs = 0.0 * outward, outward, 0.0 * middle
-        slides, turn_1, turn_2 = rubs, rubs, rubs
+        slides, turn_0, turn_1, turn_2 = rubs, rubs, rubs, rubs
         if law.slip > 0.0:
-            skips, along, rubs, slides, turn_1, turn_2 = hidden_motion(
-                law, facet, pose, centre, outward, g, RAMP
+            skips, along, rubs, slides, turn_0, turn_1, turn_2 = hidden_motion(
+                law, facet, pose, centre, s, t, outward, g, RAMP
             )
         factor, cone = raised(law, facet, pose, centre, outward, up, mean, g)
         return FacetSample(
@@ -163,6 +164,7 @@ def facet_kernel(
             along,
             rubs,
             slides,
+            turn_0,
             turn_1,
             turn_2,
         )
@@ -192,7 +194,8 @@ def facet_kernel(
     @partial(compiled, inline=True)
     def complexity(facet, law, p, eps):
         """Return `LawKernel.complexity`: a facet is simple if all or nothing of it leads."""
-        lead, speed = dot(p, facet.normal), norm(p)
+        speed = norm(p)
+        lead = dot(p, facet.normal) + speed * facet.turn_0
         rise_1 = dot(p, facet.spread_1) - speed * facet.turn_1
         rise_2 = dot(p, facet.spread_2) - speed * facet.turn_2
         reach = _ROUNDED * (abs(rise_1) + abs(rise_2))

@@ -75,7 +75,8 @@ def led_slope_kernel(slope: Any) -> Any:
     @partial(compiled, inline=True)
     def led(facet, law, g, u, eps):
         n, z, spread_1, spread_2 = facet.normal, facet.up, facet.spread_1, facet.spread_2
-        c, along_1, along_2 = dot(u, n), dot(u, spread_1), dot(u, spread_2)
+        straight, along_1, along_2 = dot(u, n), dot(u, spread_1), dot(u, spread_2)
+        c = straight + facet.turn_0
         a, b = along_1 - facet.turn_1, along_2 - facet.turn_2
         s, t = math.copysign(1.0, a), math.copysign(1.0, b)
         # h and k: the larger and the smaller of both sizes; x = c/h, y = k/h.
@@ -110,7 +111,9 @@ def led_slope_kernel(slope: Any) -> Any:
         scale = 1.0 / norm(m)
         m = scale * m
         down, leads = dot(m, z), dot(m, u)
-        w, size, e, d = followed(facet, m, u) if facet.rubs > 0.0 else (u, 1.0, u, u)
+        if facet.rubs > 0.0:
+            leads = scale * (c + la * a + lb * b)
+        w, size, e, d = followed(facet, m, u, leads) if facet.rubs > 0.0 else (u, 1.0, u, u)
         rise, lead = dot(w, z), leads / size
         strength, f, by_rise, by_down, by_lead = dissipative(
             standing(slope(law, g, rise, down, lead), facet.cone, rise), rise, lead, eps
@@ -120,7 +123,7 @@ def led_slope_kernel(slope: Any) -> Any:
         # Changes of the normal along itself, of n'.z and of n'.u when it turns toward a spread.
         an, bn = scale * dot(spread_1, m), scale * dot(spread_2, m)
         ad, bd = scale * dot(spread_1, z) - an * down, scale * dot(spread_2, z) - bn * down
-        al, bl = (scale * along_1 - an * leads) / size, (scale * along_2 - bn * leads) / size
+        al, bl = scale * dot(spread_1, w) - an * lead, scale * dot(spread_2, w) - bn * lead
 
         # Columns of the ratios x and y.
         frame = vector(m, w, z)
@@ -143,22 +146,33 @@ def led_slope_kernel(slope: Any) -> Any:
             second_h, second_k = (t, -t) if swap else (-t, t)
         xa, xb = -x * first_h, -x * second_h
         ya, yb = first_k - y * first_h, second_k - y * second_h
-        gradient_x = n + xa * spread_1 + xb * spread_2 - (c + xa * along_1 + xb * along_2) * u
+        gradient_x = (
+            n + xa * spread_1 + xb * spread_2 - (straight + xa * along_1 + xb * along_2) * u
+        )
         gradient_y = ya * spread_1 + yb * spread_2 - (ya * along_1 + yb * along_2) * u
 
         force, by_p = plate_slope(f, gain * by_rise, by_lead, frame, rise, lead)
+        column = dot(f_sided + al * by_lead + ad * by_down - vector(f.x * an, 0.0, 0.0), frame)
+        column = la_sided * (column + turn * spread_1)
         if facet.rubs > 0.0:
-            opposing = opposed(force, facet, m, u)
-            by_p = turned_slope(by_p, force, m, u, (w, size, e, d), opposing)
-            force, share, slid, traction, _, _ = opposing
-            column_x = turned(column_x, share, m, slid, traction)
-            column_y = turned(column_y, share, m, slid, traction)
+            opposing, moving = opposed(force, facet, m, u), (w, size, e, d)
+            # Changes of the normal, and of `leads`, toward both spreads.
+            m_1, m_2 = scale * spread_1 - an * m, scale * spread_2 - bn * m
+            l_1, l_2 = scale * a - an * leads, scale * b - bn * leads
+            m_x, l_x = la_x * m_1 + lb_x * m_2, la_x * l_1 + lb_x * l_2
+            m_y, l_y = la_y * m_1 + lb_y * m_2, la_y * l_1 + lb_y * l_2
+            column_x = turned(column_x, by_p, force, m, u, leads, m_x, l_x, moving, opposing)
+            column_y = turned(column_y, by_p, force, m, u, leads, m_y, l_y, moving, opposing)
+            m_1, l_1 = la_sided * m_1, la_sided * l_1
+            column = turned(column, by_p, force, m, u, leads, m_1, l_1, moving, opposing)
+            by_p = turned_slope(by_p, force, m, u, moving, opposing)
+            force = opposing[0]
         by_p = by_p + outer(column_x, per_h * gradient_x) + outer(column_y, per_h * gradient_y)
         if ramp:  # `sided` changes too
-            f_sided = f_sided + al * by_lead + ad * by_down - vector(f.x * an, 0.0, 0.0)
-            column = la_sided * (dot(f_sided, frame) + turn * spread_1)
             sa, sb = s / first, sided * t / first
-            by_p = by_p + outer(column, sa * spread_1 + sb * spread_2 - (sa * along_1 + sb * along_2) * u)
+            by_p = by_p + outer(
+                column, sa * spread_1 + sb * spread_2 - (sa * along_1 + sb * along_2) * u
+            )
         # Trailing parts may have an undefined stress, even NaN.
         if gain <= 0.0 or leads <= edge_of(eps):
             force, by_p = vector(0.0, 0.0, 0.0), diagonal(0.0)
@@ -175,7 +189,9 @@ def simple_slope_kernel(slope: Any) -> Any:
     def led(facet, law, g, u, eps):
         n, z = facet.normal, facet.up
         down, leads = dot(n, z), dot(n, u)
-        w, size, e, d = followed(facet, n, u) if facet.rubs > 0.0 else (u, 1.0, u, u)
+        if facet.rubs > 0.0:
+            leads = leads + facet.turn_0
+        w, size, e, d = followed(facet, n, u, leads) if facet.rubs > 0.0 else (u, 1.0, u, u)
         rise, lead = dot(w, z), leads / size
         strength, f, by_rise, _, by_lead = dissipative(
             standing(slope(law, g, rise, down, lead), facet.cone, rise), rise, lead, eps
@@ -223,19 +239,20 @@ def led_by_differences(stress: Any) -> Any:
 
     @partial(compiled, inline=True)
     def led_stress(facet, law, g, u, eps):
-        c, a, b = dot(u, facet.normal), dot(u, facet.spread_1), dot(u, facet.spread_2)
-        a, b = a - facet.turn_1, b - facet.turn_2
-        sided = 1.0
+        c = dot(u, facet.normal) + facet.turn_0
+        a, b = dot(u, facet.spread_1) - facet.turn_1, dot(u, facet.spread_2) - facet.turn_2
+        rise, sided = a, 1.0
         if eps > 0.0 and abs(a) + abs(b) < RAMP:
             first = RAMP - abs(b)
             sided = abs(a) / first
             a = math.copysign(first, a)
         load, s, t = load_of(facet.middle, facet.rise_1, facet.rise_2, facet.mean, c, a, b, sided)
         m = facet.normal + s * facet.spread_1 + t * facet.spread_2
+        leads = (c + s * rise + t * b) / norm(m)
         m = m / norm(m)
         w = u
         if facet.rubs > 0.0:
-            w = followed(facet, m, u)[0]
+            w = followed(facet, m, u, leads)[0]
         more = 1.0 + facet.cone * dot(w, facet.up) * dot(w, facet.up)
         force = (load * facet.area * more) * stress(law, g, m, w, facet.up)
         if facet.rubs > 0.0:

@@ -19,15 +19,16 @@ itself. Chosen: between 1.5 and 3 no error of docs/validity.md changes by more t
 _WIDEST = 2.0
 # Square of a speed that counts as rest, in units of g times the width; chosen.
 _SLOW = 1e-6
+_SIXTH = 1.0 / 6.0
 _NONE = 1e-30  # a square that counts as zero
 
 
 @partial(compiled, inline=True)
-def hidden_motion(law, facet, pose, centre, normal, g, ramp):
+def hidden_motion(law, facet, pose, centre, s, t, normal, g, ramp):
     """Return what a facet that slides along itself has of `FacetSample`, from `skips` on.
 
-    A facet that leads by less than `ramp`, the sine of its angle to the motion, is taken to lead by
-    that.
+    `s` and `t` are where on the facet its `centre` is. A facet that leads by less than `ramp`, the
+    sine of its angle to the motion, is taken to lead by that.
     """
     motion = pose.motion
     turn = cross(transposed(pose.rotation) @ motion.angular, facet.normal)
@@ -38,6 +39,12 @@ def hidden_motion(law, facet, pose, centre, normal, g, ramp):
     v = velocity_at(motion, centre - pose.tree)
     lead, speed = dot(v, normal), root(dot(v, v))
     across, least = v - lead * normal, ramp * speed
+    # The facet's middle, and its skin there, which is farther out than the mean of the facet.
+    turn_0 = s * turn_1 + t * turn_2
+    lead = lead + turn_0
+    bulge = _SIXTH * (dot(facet.edges[0], facet.spread[0]) + dot(facet.edges[1], facet.spread[1]))
+    turn_1 = turn_1 - bulge * dot(turn, facet.spread[0])
+    turn_2 = turn_2 - bulge * dot(turn, facet.spread[1])
     most = law.slip * choose(lead > least, lead, least)
     square, both, beyond = dot(h, h), dot(h, across), dot(across, across) - most * most
     rest = both * both - square * beyond
@@ -53,6 +60,7 @@ def hidden_motion(law, facet, pose, centre, normal, g, ramp):
         per_slide * across,
         choose(rubs < 1.0, rubs, 1.0),
         per * slides,
+        per * turn_0,
         per * turn_1,
         per * turn_2,
     )
@@ -71,14 +79,15 @@ def _along(edge, spread, turn, width):
 
 
 @partial(compiled, inline=True)
-def followed(facet, m, u):
+def followed(facet, m, u, leads):
     """Return the direction of motion that sand follows, that motion per unit speed, its columns.
 
-    The motion is u - (e.u) d, linear in u; returned are e and d, both along the skin (S7).
+    The motion is u - (e.u) d along the skin, linear in u, and `leads` along its normal m; returned
+    are e and d (S7).
     """
     e = facet.along - dot(facet.along, m) * m
     d = facet.skips - dot(facet.skips, m) * m
-    followed = u - dot(e, u) * d
+    followed = u - dot(e, u) * d + (leads - dot(m, u)) * m
     size = norm(followed)
     return (1.0 / size) * followed, size, e, d
 
@@ -104,10 +113,23 @@ def opposed(force, facet, m, u):
 
 
 @partial(compiled, inline=True)
-def turned(column, share, m, slip, traction):
-    """Return how a force after `opposed` changes with a change of the one before."""
-    across = column - dot(column, m) * m
-    return column - share * (across + dot(traction, column) * slip)
+def turned(column, by_p, force, m, u, leads, turn, more, moving, opposing):
+    """Return the change of the force after `opposed` as the normal m turns, and `leads` grows.
+
+    `column` is that of the force before it, for the motion that sand follows as it is.
+    """
+    w, size, e, d = moving
+    _, share, slip, traction, per, is_full = opposing
+    straight = dot(m, u)
+    moves = (more - dot(turn, u)) * m + (leads - straight) * turn
+    moves = moves + (dot(e, turn) * straight) * d + (dot(e, u) * dot(d, turn)) * m
+    moves = moves - dot(w, moves) * w
+    column = column + (1.0 / size) * (by_p @ moves)
+    along = -dot(turn, u) * m - straight * turn
+    if is_full:
+        along = along - dot(along, slip) * slip
+    across = column - dot(column, m) * m - dot(force, turn) * m - dot(force, m) * turn
+    return column - share * (across + dot(traction, across) * slip + per * along)
 
 
 @partial(compiled, inline=True)

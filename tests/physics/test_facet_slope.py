@@ -146,7 +146,7 @@ class Facet:
     push: float
     skips: np.ndarray
     along: np.ndarray
-    turns: tuple[float, float] = (0.0, 0.0)
+    turns: tuple[float, ...] = (0.0, 0.0, 0.0)
     rubs: float = 0.0
     slides: float = 1.0
     cone: float = 0.3
@@ -161,14 +161,15 @@ class Facet:
 
     def rates(self, u):
         """c, a and b, on the ramp what is taken in their place."""
-        c, (a, b) = self.normal.astype(REAL) @ u, self.spread.astype(REAL) @ u - self.turns
+        c = self.normal.astype(REAL) @ u + self.turns[0]
+        a, b = self.spread.astype(REAL) @ u - self.turns[1:]
         if abs(a) + abs(b) < RAMP:
             a = np.copysign(REAL(RAMP) - abs(b), a)
         return c, a, b
 
     def sided(self, u):
         """The share of a of `rates` that is not the ramp's."""
-        a, b = abs(self.spread.astype(REAL) @ u - self.turns)
+        a, b = abs(self.spread.astype(REAL) @ u - self.turns[1:])
         return a / (RAMP - b) if a + b < RAMP else REAL(1)
 
     def force(self, stress, law, u):
@@ -179,9 +180,11 @@ class Facet:
         load = share * positive_part(self.depth + s * h + t * k, f * h, e * k)[3]
         if load <= 0:
             return np.zeros(3, REAL)
-        m = unit(n + s * spread[0] + t * spread[1])
+        m = n + s * spread[0] + t * spread[1]
+        leads = (n @ u + self.turns[0] + (spread @ u - self.turns[1:]) @ [s, t]) / np.sqrt(m @ m)
+        m = unit(m)
         e, d = (x - (x @ m) * m for x in (self.along, self.skips))
-        w = unit(u - (e @ u) * d)
+        w = unit(u - (e @ u) * d + (leads - m @ u) * m) if self.rubs > 0 else u
         found = stress(law, m, w, z) * (1 + self.cone * (w @ z) ** 2)
         found -= max(found @ w, REAL(0)) * w
         return AREA * load * (self.opposed(found, m, u) if self.rubs > 0 else found)
@@ -233,7 +236,7 @@ def drawn(rng, slides=False):
         facet.skips, facet.along = np.cross(n, rng.normal(size=3)), unit(np.cross(z, n))
         facet.skips *= rng.random()
         facet.rubs, facet.slides = rng.random(2)
-        facet.turns = tuple(rng.normal(size=2) * np.linalg.norm(spread, axis=1))
+        facet.turns = (0.01 * rng.normal(), *(rng.normal(size=2) * np.linalg.norm(spread, axis=1)))
     across = unit(np.cross(n, rng.normal(size=3)))
     widest = max(float(np.abs(spread @ across).sum()), RAMP)
     sine = np.clip(rng.uniform(-1.05, 1.2) * widest, -0.99, 0.99)
@@ -292,14 +295,14 @@ def test_against_polygons_and_differences(kernels, name, slides):
         slope = -np.array(answer[3:12]).reshape(3, 3)
         size = 1e-12 + float(abs(found).max())
         off.append(abs(slope - found.astype(float)).max() / size)
-        if not facet.spread.any() or not slides:
-            assert off[-1] < CLOSE
+        # Small products of the slip and of spreads are omitted.
+        spread = float(abs(facet.spread).max())
+        assert off[-1] < CLOSE or (slides and spread > 0.1) or (slides and spread * off[-1] < 2e-3)
         rates = facet.rates(v / np.sqrt(v @ v))
         leading[branch(*rates)] += 1
         if expected.any():
             wet[branch(facet.depth, *facet.rises)] += 1
-    # How the followed motion turns with the mean normal is omitted.
-    assert np.median(off) < (0.01 if slides else CLOSE)
+    assert np.median(off) < (1e-3 if slides else CLOSE)
     assert leading.total() > 0.9 * count
     assert min(leading[x] for x in ("none", "all", "trapezium", "corner", "all but a corner")) > 4
     assert min(wet[x] for x in ("all", "trapezium", "corner", "all but a corner")) > 4

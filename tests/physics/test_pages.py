@@ -102,7 +102,7 @@ class Facet:
         self.arm = middle + pressure @ edges - place
         self.v = velocity + np.cross(spin, self.arm)
         self.area, width = element["area"], element["face"]
-        self.slide(element, edges, spin)
+        self.slide(edges, spin, element, pressure)
         self.push = LAMBDA * page.rho * self.area * share
         if self.mean == 0:
             return
@@ -123,7 +123,7 @@ class Facet:
         # n and the arm turn together, so only the body's velocity turns against n.
         self.had = max(self.n @ self.v - h * np.cross(spin, self.n) @ velocity, 0)
 
-    def slide(self, element, edges, spin):
+    def slide(self, edges, spin, element, pressure):
         """(S6) to (S8): h, q, e, and the share b of the traction that opposes the motion."""
         turn, speed, lead = np.cross(spin, self.n), np.linalg.norm(self.v), self.n @ self.v
         h, slow, self.turns = np.zeros(3), 1e-6 * G * element["face"], np.zeros(2)
@@ -133,6 +133,10 @@ class Facet:
                 self.turns[k] = edge @ turn
         h = (1 - element["flat"]) * (h - (h @ self.n) * self.n)
         across = self.v - lead * self.n
+        self.turn = pressure @ self.turns
+        lead += self.turn
+        bulge = np.einsum("ij,ij", edges, self.spread) / 6
+        self.turns -= bulge * self.spread @ turn * (self.turns != 0)
         most, q = SLIP * max(lead, RAMP * speed), 0.0
         if across @ across > most**2 and h @ across > 0:
             rest = (h @ across) ** 2 - h @ h * (across @ across - most**2)
@@ -141,10 +145,13 @@ class Facet:
         self.e, self.d = across / self.slides, q * h / self.slides
         self.rubs = min(2 * gone / (gone + self.slides), 1)
         scale = math.sqrt(speed**2 + slow)
-        self.turns, self.slides = self.turns / scale, self.slides / scale
+        self.turn, self.turns, self.slides = (
+            x / scale for x in (self.turn, self.turns, self.slides)
+        )
 
     def static(self, u):
-        c, (a, b), moves = self.n @ u, self.spread @ u - self.turns, 1.0
+        rises = self.spread @ u - self.turns
+        c, (a, b), moves = self.n @ u + self.turn, rises, 1.0
         if abs(a) + abs(b) < RAMP:
             first = RAMP - abs(b)
             moves, a = abs(a) / first, math.copysign(first, a)
@@ -157,13 +164,15 @@ class Facet:
             * part(self.depth + self.rises @ [s, t], *(self.rises * (1 - abs(s), 1 - abs(t))))[2]
         )
         n = self.n + s * self.spread[0] + t * self.spread[1]
-        n /= np.linalg.norm(n)
-        e, d = (x - (x @ n) * n for x in (self.e, self.d))
-        w = u - (e @ u) * d  # (S7)
-        w /= np.linalg.norm(w)
+        leads = (c + rises @ [s, t]) / np.linalg.norm(n)
+        n, w = n / np.linalg.norm(n), u
+        if self.rubs > 0:
+            e, d = (x - (x @ n) * n for x in (self.e, self.d))
+            w = u - (e @ u) * d + (leads - n @ u) * n  # (S7)
+            w /= np.linalg.norm(w)
         stress = self.page.stress(n, w)
         stress -= max(stress @ w, 0) * w
-        if d.any():  # (S8)
+        if self.rubs > 0:  # (S8)
             traction, along, share = stress - (stress @ n) * n, u - (u @ n) * n, self.rubs
             against = -np.linalg.norm(traction) * along / max(np.linalg.norm(along), self.slides)
             if stress @ u > 0:
