@@ -19,6 +19,9 @@ itself. Chosen: between 1.5 and 3 no error of docs/validity.md changes by more t
 _WIDEST = 2.0
 # Square of a speed that counts as rest, in units of g times the width; chosen.
 _SLOW = 1e-6
+# Skin that slides along itself by more of its speed counts as doing that; chosen: the contact of
+# a wheel that rolls without slip has no speed.
+_FASTEST = 3.0
 _SIXTH = 1.0 / 6.0
 _NONE = 1e-30  # a square that counts as zero
 
@@ -54,12 +57,14 @@ def hidden_motion(law, facet, pose, centre, s, t, normal, g, ramp):
     slow = _SLOW * g * facet.face + _NONE
     gone, slides = q * root(square), root(dot(across, across) + slow)
     rubs = 2.0 * gone / (gone + slides)
-    per, per_slide = 1.0 / root(speed * speed + slow), 1.0 / slides
+    least = square * (1.0 / (_FASTEST * _FASTEST))
+    per = 1.0 / root(choose(speed * speed > least, speed * speed, least) + slow)
+    per_slide = 1.0 / slides
     return (
         (per_slide * q) * h,
         per_slide * across,
         choose(rubs < 1.0, rubs, 1.0),
-        per * slides,
+        slides / root(speed * speed + slow),
         per * turn_0,
         per * turn_1,
         per * turn_2,
