@@ -91,8 +91,9 @@ def facet_kernel(
     of `Surface`. On a plane facets may be sampled side by side. `added` asks for added mass
     (`facet_added`); `raised` is the factor on static resistance (`law.raised`).
 
-    The law's record has `inertia`, lambda rho [kg/m^3], and `rise`, 1 if the surface behind a
-    turning body is lowered, and `slip` (`law.slip`); with added mass also `added`, kappa, and `density`, rho.
+    The law's record has `inertia`, lambda rho [kg/m^3], `rise`, 1 if the surface behind a turning
+    body is lowered, and `slip` (`law.slip`); with added mass also `added`, kappa, and `density`,
+    rho.
     """
 
     @partial(compiled, inline=True)

@@ -161,10 +161,10 @@ def led_slope_kernel(slope: Any) -> Any:
             l_1, l_2 = scale * a - an * leads, scale * b - bn * leads
             m_x, l_x = la_x * m_1 + lb_x * m_2, la_x * l_1 + lb_x * l_2
             m_y, l_y = la_y * m_1 + lb_y * m_2, la_y * l_1 + lb_y * l_2
-            column_x = turned(column_x, by_p, force, m, u, leads, m_x, l_x, moving, opposing)
-            column_y = turned(column_y, by_p, force, m, u, leads, m_y, l_y, moving, opposing)
+            column_x = turned(column_x, by_p, force, facet, m, u, leads, m_x, l_x, moving, opposing)
+            column_y = turned(column_y, by_p, force, facet, m, u, leads, m_y, l_y, moving, opposing)
             m_1, l_1 = la_sided * m_1, la_sided * l_1
-            column = turned(column, by_p, force, m, u, leads, m_1, l_1, moving, opposing)
+            column = turned(column, by_p, force, facet, m, u, leads, m_1, l_1, moving, opposing)
             by_p = turned_slope(by_p, force, m, u, moving, opposing)
             force = opposing[0]
         by_p = by_p + outer(column_x, per_h * gradient_x) + outer(column_y, per_h * gradient_y)

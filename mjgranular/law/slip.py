@@ -118,7 +118,7 @@ def opposed(force, facet, m, u):
 
 
 @partial(compiled, inline=True)
-def turned(column, by_p, force, m, u, leads, turn, more, moving, opposing):
+def turned(column, by_p, force, facet, m, u, leads, turn, more, moving, opposing):
     """Return the change of the force after `opposed` as the normal m turns, and `leads` grows.
 
     `column` is that of the force before it, for the motion that sand follows as it is.
@@ -127,7 +127,8 @@ def turned(column, by_p, force, m, u, leads, turn, more, moving, opposing):
     _, share, slip, traction, per, is_full = opposing
     straight = dot(m, u)
     moves = (more - dot(turn, u)) * m + (leads - straight) * turn
-    moves = moves + (dot(e, turn) * straight) * d + (dot(e, u) * dot(d, turn)) * m
+    moves = moves + (dot(e, turn) * straight + dot(facet.along, m) * dot(turn, u)) * d
+    moves = moves + dot(e, u) * (dot(d, turn) * m + dot(facet.skips, m) * turn)
     moves = moves - dot(w, moves) * w
     column = column + (1.0 / size) * (by_p @ moves)
     along = -dot(turn, u) * m - straight * turn

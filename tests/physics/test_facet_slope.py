@@ -295,14 +295,12 @@ def test_against_polygons_and_differences(kernels, name, slides):
         slope = -np.array(answer[3:12]).reshape(3, 3)
         size = 1e-12 + float(abs(found).max())
         off.append(abs(slope - found.astype(float)).max() / size)
-        # Small products of the slip and of spreads are omitted.
-        spread = float(abs(facet.spread).max())
-        assert off[-1] < CLOSE or (slides and spread > 0.1) or (slides and spread * off[-1] < 2e-3)
         rates = facet.rates(v / np.sqrt(v @ v))
         leading[branch(*rates)] += 1
         if expected.any():
             wet[branch(facet.depth, *facet.rises)] += 1
-    assert np.median(off) < (1e-3 if slides else CLOSE)
+    # Where traction is turned farther, so as not to add energy, the derivative omits that.
+    assert np.percentile(off, 95 if slides else 100) < CLOSE
     assert leading.total() > 0.9 * count
     assert min(leading[x] for x in ("none", "all", "trapezium", "corner", "all but a corner")) > 4
     assert min(wet[x] for x in ("all", "trapezium", "corner", "all but a corner")) > 4

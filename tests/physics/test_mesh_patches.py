@@ -74,7 +74,9 @@ def moments_of(facets):
 
 
 def cut(corners, resolution):
-    return patches.gathered(patches.pieces(corners, resolution)[0], resolution)
+    pieces, _ = patches.pieces(corners, resolution)
+    flat = np.zeros((len(pieces), 3, 3))
+    return patches.gathered(pieces, resolution, flat, flat[:, 0])[0]
 
 
 @settings(max_examples=15, deadline=None)
