@@ -25,6 +25,7 @@ from mjgranular import (
 )
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.memory import WORKSPACE, table_at
+from mjgranular.law.facet import FacetSample
 from mjgranular.models import Link
 from mjgranular.sand.prepare import prepare
 from mjgranular.scheme import Implicit
@@ -48,6 +49,7 @@ SANDS = {
     "depth_velocity": {"law": QUADRATIC},
 }
 OF_FACETS = ("rft2d", "rft3d", "rft3d_inertia")
+PUSH = FacetSample._fields.index("push") + 10  # in numbers: five vectors are before it
 RAMP = 0.06  # a flat facet leads over a ramp of 0.05; and a margin
 
 BODY = """
@@ -161,7 +163,7 @@ class Drawn:
         if self.name.startswith("link") or self.name == "rft3d_inertia":
             for found in self.immersed:
                 # Drag of a rod; the inertial push of a facet, before what it moves along and how.
-                found[-3 if self.name == "rft3d_inertia" else -1] = 0.0
+                found[PUSH if self.name == "rft3d_inertia" else -1] = 0.0
         return self
 
     def inside(self):
