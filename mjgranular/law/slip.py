@@ -109,9 +109,10 @@ def opposed(force, facet, m, u):
     size, speed = norm(traction), norm(along)
     per = 1.0 / max(speed, facet.slides)
     slip = per * along
-    share, power = facet.rubs, dot(force, u)
-    if power > 0.0:
-        share = max(share, min(power / (dot(traction, u) + size * speed * speed * per), 1.0))
+    gain, enough = dot(force, u), 0.0
+    if gain > 0.0:
+        enough = min(gain / (dot(traction, u) + size * speed * speed * per), 1.0)
+    share = max(facet.rubs, enough)
     force = force - share * (traction + size * slip)
     force = force - max(dot(force, u), 0.0) * u  # of skin that begins to lead
     return force, share, slip, (1.0 / (size + _NONE)) * traction, size * per, speed > facet.slides
