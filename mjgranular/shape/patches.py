@@ -94,21 +94,24 @@ def gathered(corners: np.ndarray, resolution: int) -> Facets:
     rows = np.flatnonzero(there[patch])
     patch = (np.cumsum(there) - 1)[patch[rows]]
     weights = np.maximum(np.einsum("ni,ni->n", vectors[rows], normals[patch]), 0.0)
-    places = np.einsum("nki,ni->kn", axes[patch], points[rows] - middles[patch])
-    # Each axis points to the longer tail of the patch: a mesh that is turned is sampled alike.
-    skew = np.array([np.bincount(patch, weights * x**3, len(axes)) for x in places])
-    ways = np.where(skew < 0, -1.0, 1.0)
-    axes *= ways.T[:, :, None]
-    picked = rows[_quarters(patch, weights, ways[:, patch] * places)]
+    away = points[rows] - middles[patch]
+    deep, along = (
+        np.einsum("ni,ni->n", normals[patch], away),
+        np.einsum("ni,ni->n", axes[patch, 1], away),
+    )
+    # The axis points to the longer tail of the patch: a mesh that is turned is sampled alike.
+    skew = np.bincount(patch, weights * along**3, len(axes))
+    along = np.where(skew < 0, -1.0, 1.0)[patch] * along
+    picked = rows[_quarters(patch, weights, deep, along)]
     wide = variances > (_FLAT * size) ** 2
     # Half as wide as a flat patch with these second moments; the normal turns over this distance.
     half = np.sqrt(3 * np.where(wide, variances, 0.0))[:, :, None]
     slopes = axes @ turning / np.where(wide, variances, np.inf)[:, :, None]
     edges = half * axes
     skin = at_corners(middles, normals, edges)
-    deep = np.einsum("ni,nij,nj->n", normals, moments, normals) > (_FLAT * size) ** 2
+    curved = np.einsum("ni,nij,nj->n", normals, moments, normals) > (_FLAT * size) ** 2
     sample = np.stack([points[picked], vectors[picked] / areas[picked, None]], axis=2)
-    skin[deep] = sample[deep]
+    skin[curved] = sample[curved]
     return Facets(middles, normals, sizes, edges, half * slopes, skin)
 
 
@@ -179,19 +182,21 @@ def _parted(places: np.ndarray, areas: np.ndarray, resolution: int) -> tuple[np.
     return patch, int(patch.max()) + 1
 
 
-def _quarters(patch: np.ndarray, weights: np.ndarray, places: np.ndarray) -> np.ndarray:
+def _quarters(
+    patch: np.ndarray, weights: np.ndarray, deep: np.ndarray, along: np.ndarray
+) -> np.ndarray:
     """Return a triangle of each quarter of each patch, shape (n, 4).
 
-    Halves along the first of the two `places` and quarters along the second have equal weight, and
-    so have both sides within a quarter: parts at other depths count by what they show.
+    Halves by depth, and quarters along the patch, have equal weight: parts that are behind others
+    count by what they show.
     """
     totals = np.bincount(patch, weights)
     before = np.cumsum(totals) - totals
-    order = np.lexsort([places[0], patch])
+    order = np.lexsort([deep, patch])
     later = np.empty(len(patch), bool)
     passed = np.cumsum(weights[order]) - 0.5 * weights[order]
     later[order] = passed > (before + 0.5 * totals)[patch[order]]
-    order = np.lexsort([places[1], later, patch])
+    order = np.lexsort([along, later, patch])
     at = before[:, None] + np.array(_QUARTERS) * totals[:, None]
     return order[np.searchsorted(np.cumsum(weights[order]), at).clip(max=len(order) - 1)]
 
