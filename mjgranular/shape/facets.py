@@ -80,7 +80,7 @@ def facets_from_model(
         rings = [int(resolution)] * len(ordered)
     model = copy.copy(model)
     data = sizes.data_at_start(model)
-    parts, is_cut = [], meshes == "patches"
+    parts, skins, is_cut = [], [], meshes == "patches"
     # One surface at a time: the cells of all would fill the memory.
     for geom, fine in zip(ordered, rings, strict=True):
         if int(model.geom_type[geom]) == _GEOM.mjGEOM_MESH:
@@ -123,11 +123,12 @@ def facets_from_model(
         part["extent"] = np.linalg.norm(facets.edges, axis=2).sum(axis=1)
         part["width"] = sizes.geom_width(model, geom)
         part["flat"] = flat
+        skins.append(facets.skin @ rotation.T + [model.geom_pos[geom], np.zeros(3)])
     facets, own = np.concatenate(parts), in_own_frames(model)
     sizes.set_bodies(model, facets)
     exposed = np.ones(len(facets))
     if sheltered == "drop":
-        exposed = exposures(model, own, facets)
+        exposed = exposures(model, own, facets, np.concatenate(skins))
         facets, exposed = facets[exposed > 0], exposed[exposed > 0]
     if is_cut:
         join_faces(model, own, facets, exposed)

@@ -14,7 +14,7 @@ import math
 import numpy as np
 
 from mjgranular.shape.sizes import rod_length
-from mjgranular.shape.tessellation import Facets
+from mjgranular.shape.tessellation import Facets, at_corners
 
 # Chosen by measurement (docs/shapes.md): changing one of them by a factor of two has little effect.
 _MOST = 2.0  # patches of a mesh, times the square of the resolution
@@ -30,6 +30,8 @@ _PARALLEL, _COPLANAR = 0.985, 0.05
 _CURVED = math.sqrt(1 - _PARALLEL**2)  # such a fraction of a cylinder's projection is no flat face
 _SMOOTH = math.cos(math.radians(30))  # triangles at a smaller angle are of a round surface; chosen
 _ENOUGH = 2000  # maximum number of facets in the comparison; chosen
+# Where a patch is sampled, as shares of its area: not on the edges of equal triangles.
+_QUARTERS = (0.13, 0.37, 0.63, 0.87)
 _CANCELLED = 1e-6  # relative size of the summed area vectors below which a patch has no direction
 
 
@@ -92,8 +94,8 @@ def gathered(
     corners, bends, centers = corners[there], bends[there], centers[there]
     vectors, areas = _areas(corners)
     if not len(corners):
-        nothing = np.zeros((0, 2, 3))
-        return Facets(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), nothing, nothing), nothing
+        shapes = ((3,), (3,), (), (2, 3), (2, 3), (4, 2, 3))
+        return Facets(*(np.zeros((0, *shape)) for shape in shapes)), np.zeros((0, 2, 3))
     size, points, normals = _size(corners), corners.mean(axis=1), vectors / areas[:, None]
     places = np.concatenate([np.sqrt(_PLACE) / size * points, normals], axis=1)
     patch, count = _parted(places, areas, resolution)
@@ -122,11 +124,28 @@ def gathered(
     across = np.eye(3) - normals[:, :, None] * normals[:, None]
     variances, axes = np.linalg.eigh(across @ moments @ across)
     variances, axes = variances[:, 1:], axes[:, :, 1:].transpose(0, 2, 1)  # of the two in the plane
+    rows = np.flatnonzero(there[patch])
+    patch = (np.cumsum(there) - 1)[patch[rows]]
+    weights = np.maximum(np.einsum("ni,ni->n", vectors[rows], normals[patch]), 0.0)
+    away = points[rows] - middles[patch]
+    deep, along = (
+        np.einsum("ni,ni->n", normals[patch], away),
+        np.einsum("ni,ni->n", axes[patch, 1], away),
+    )
+    # The axis points to the longer tail of the patch: a mesh that is turned is sampled alike.
+    skew = np.bincount(patch, weights * along**3, len(axes))
+    along = np.where(skew < 0, -1.0, 1.0)[patch] * along
+    picked = rows[_quarters(patch, weights, deep, along)]
     wide = variances > (_FLAT * size) ** 2
     # Half as wide as a flat patch with these second moments; the normal turns over this distance.
     half = np.sqrt(3 * np.where(wide, variances, 0.0))[:, :, None]
     slope = half * axes / np.where(wide, variances, np.inf)[:, :, None]
-    return Facets(middles, normals, sizes, half * axes, slope @ turning), slope @ bent
+    edges = half * axes
+    skin = at_corners(middles, normals, edges)
+    curved = np.einsum("ni,nij,nj->n", normals, moments, normals) > (_FLAT * size) ** 2
+    sample = np.stack([points[picked], vectors[picked] / areas[picked, None]], axis=2)
+    skin[curved] = sample[curved]
+    return Facets(middles, normals, sizes, edges, slope @ turning, skin), slope @ bent
 
 
 def single(corners: np.ndarray) -> Facets:
@@ -134,7 +153,9 @@ def single(corners: np.ndarray) -> Facets:
     vectors, areas = _areas(corners)
     corners, vectors, areas = corners[areas > 0], vectors[areas > 0], areas[areas > 0]
     nothing = np.zeros((len(areas), 2, 3))
-    return Facets(corners.mean(axis=1), vectors / areas[:, None], areas, nothing, nothing)
+    points, normals = corners.mean(axis=1), vectors / areas[:, None]
+    skin = at_corners(points, normals, nothing)
+    return Facets(points, normals, areas, nothing, nothing, skin)
 
 
 def flatness(
@@ -193,6 +214,25 @@ def _parted(places: np.ndarray, areas: np.ndarray, resolution: int) -> tuple[np.
         count += len(worst)
     _, patch = np.unique(patch, return_inverse=True)
     return patch, int(patch.max()) + 1
+
+
+def _quarters(
+    patch: np.ndarray, weights: np.ndarray, deep: np.ndarray, along: np.ndarray
+) -> np.ndarray:
+    """Return a triangle of each quarter of each patch, shape (n, 4).
+
+    Halves by depth, and quarters along the patch, have equal weight: parts that are behind others
+    count by what they show.
+    """
+    totals = np.bincount(patch, weights)
+    before = np.cumsum(totals) - totals
+    order = np.lexsort([deep, patch])
+    later = np.empty(len(patch), bool)
+    passed = np.cumsum(weights[order]) - 0.5 * weights[order]
+    later[order] = passed > (before + 0.5 * totals)[patch[order]]
+    order = np.lexsort([along, later, patch])
+    at = before[:, None] + np.array(_QUARTERS) * totals[:, None]
+    return order[np.searchsorted(np.cumsum(weights[order]), at).clip(max=len(order) - 1)]
 
 
 def _areas(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

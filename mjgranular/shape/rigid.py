@@ -14,6 +14,7 @@ import numpy as np
 from mjgranular.shape.patches import flatness
 from mjgranular.shape.shells import mesh_arrays
 from mjgranular.shape.sizes import half_extents, rod_length
+from mjgranular.shape.tessellation import CORNERS
 
 # Facets belong to one flat face if their normals differ by less than 3 degrees, their planes by a
 # small share of the geom's width, and if gaps between them are narrow in the same measure. A gap
@@ -34,9 +35,6 @@ _RINGS = 4  # angles of rays to the normal, two opposite ones at each; chosen
 # Rays start this far outside, in units of the geom's width, and hits at grazing angles on the
 # facet's own geom within the second distance count as the facet itself. Chosen.
 _TOUCH, _ITSELF = 1e-6, 1e-2
-
-# Where rays start, in half edges.
-_CORNERS = np.array([(-0.5, -0.5), (-0.5, 0.5), (0.5, -0.5), (0.5, 0.5)])
 
 # Maximum number of parts that count along a ray; arcs are followed in at most `_CHORDS` chords of
 # `_CHORD` radians. Chosen.
@@ -144,7 +142,9 @@ def join_faces(
     facets["layer"] = widths * (1 + longer)
 
 
-def exposures(model: mujoco.MjModel, data: mujoco.MjData, facets: np.ndarray) -> np.ndarray:
+def exposures(
+    model: mujoco.MjModel, data: mujoco.MjData, facets: np.ndarray, skins: np.ndarray
+) -> np.ndarray:
     """Return the share of each facet that meets sand which does not move along, shape (n,).
 
     A face in front of which another part of the same rigid body stands is sheltered: the sand
@@ -153,13 +153,19 @@ def exposures(model: mujoco.MjModel, data: mujoco.MjData, facets: np.ndarray) ->
         (1 - f_1) (1 - (1 - f_1) f_2) (1 - (1 - f_1) f_3) ...
 
     Where the body turns on a hinge, rays run in arcs around it, as the sand does past the body.
-    Across a joint nothing is sheltered. `data` is of `in_own_frames`.
+    Across a joint nothing is sheltered. `data` is of `in_own_frames`, `skins` are points of the
+    facets and normals there (`Facets.skin`), in the frames of the bodies. Rays start from these.
     """
     exposed = np.ones(len(facets))
-    points, normals, edges = _placed(data, facets)
+    _, normals, edges = _placed(data, facets)
+    skins = np.einsum("nij,nkmj->mnki", data.xmat[facets["body"]].reshape(-1, 3, 3), skins)
+    touch = _TOUCH * facets["width"][:, None, None]
+    starts = data.xpos[facets["body"], None] + skins[0] + touch * skins[1]
+    axes = [[*_axes_across(n, edge), n] for n, edge in zip(normals, edges[:, 0], strict=True)]
+    axes = _turned_to(skins[1], normals, np.array(axes))
     welds = model.body_weldid[facets["body"]]
     sight = _Sight(model, data)
-    lobes = np.sign([(s, t, 1.0) for s, t in _CORNERS])[:, None] * _lobe()  # mirrored: symmetry
+    lobes = np.sign([(s, t, 1.0) for s, t in CORNERS])[:, None] * _lobe()  # mirrored: symmetry
     for weld in np.unique(welds):
         mine = np.flatnonzero(welds == weld)
         geoms = np.unique(facets["geom"][mine])
@@ -167,16 +173,9 @@ def exposures(model: mujoco.MjModel, data: mujoco.MjData, facets: np.ndarray) ->
             continue  # one convex skin
         sight.show(geoms)
         hinge = _hinge(model, weld)
-        # Upper bound of the distance from a patch's center to its curved surface.
-        bulges = np.einsum(
-            "ni,ni->n", *(np.linalg.norm(facets[k][mine], axis=2) for k in ("edges", "spread"))
-        )
-        for k, row in enumerate(mine):
-            n, (first, second), width = normals[row], edges[row], facets["width"][row]
-            start = points[row] + (bulges[k] + _TOUCH * width) * n
-            axes = np.vstack([_axes_across(n, first), n])
-            corners, own = start + _CORNERS @ (first, second), (facets["geom"][row], width)
-            met = [sight.walls(*ray, *own) for ray in sight.not_free(corners, lobes @ axes, hinge)]
+        for row in mine:
+            rays, own = lobes @ axes[row], (facets["geom"][row], facets["width"][row])
+            met = [sight.walls(*ray, *own) for ray in sight.not_free(starts[row], rays, hinge)]
             if met:
                 share = np.sum(met, axis=0) / lobes[..., 0].size
                 share[1:] *= 1.0 - share[0]
@@ -345,6 +344,14 @@ def _axes_across(n: np.ndarray, along: np.ndarray) -> np.ndarray:
     along = along - (along @ n) * n
     along = along / np.linalg.norm(along)
     return np.stack([along, np.cross(n, along)])
+
+
+def _turned_to(around: np.ndarray, normals: np.ndarray, axes: np.ndarray) -> np.ndarray:
+    """Return axes of normals, (n, 3, 3), turned to those around each by the least angle."""
+    about = np.cross(normals[:, None], around)[:, :, None]
+    cos = np.einsum("ni,nki->nk", normals, around)[..., None, None]
+    across = np.cross(about, axes[:, None])
+    return axes[:, None] + across + np.cross(about, across) / (1.0 + np.maximum(cos, 0.0))
 
 
 def _connected(low: np.ndarray, high: np.ndarray, gap: np.ndarray | float) -> list[np.ndarray]:

@@ -23,6 +23,10 @@ _FINE = 8  # cells per patch along each parameter; chosen, not measured
 # An ellipsoid is divided between equal shares of a stretched sphere's surface (0) and equal shares
 # of the normals (1). Measured: below 0.1 the rim of a lens, above 0.4 its sides are too coarse.
 _TURNING = 0.2
+_FLAT = 1e-9  # change of a normal that is rounding; chosen
+_NEAR = 0.8  # of the corners: where there is a cell, and no two that are as near
+CORNERS = np.array([(-0.5, -0.5), (-0.5, 0.5), (0.5, -0.5), (0.5, 0.5)])
+"""Of the middle half of a facet, in half edges."""
 _WHEEL = 64  # least number of patches around a wheel; measured (docs/shapes.md)
 
 
@@ -32,7 +36,8 @@ class Facets:
 
     A point of a facet is `point + s edges[0] + t edges[1]`, with s and t from -1 to 1, and the
     normal there is along `normal + s spread[0] + t spread[1]`. The parallelogram has the centroid
-    and the second moments of the facet; its area may differ.
+    and the second moments of the facet; its area may differ. `skin` is a sample, a point
+    of each quarter: near `CORNERS`, or there if the facet is flat.
     """
 
     points: np.ndarray  # centroids [m], shape (n, 3)
@@ -40,6 +45,7 @@ class Facets:
     areas: np.ndarray  # [m^2], shape (n,)
     edges: np.ndarray  # half edges [m], shape (n, 2, 3)
     spread: np.ndarray  # half differences of the unit normal along them, shape (n, 2, 3)
+    skin: np.ndarray  # points [m] of the skin and unit normals there, shape (n, 4, 2, 3)
 
     def __len__(self) -> int:
         return len(self.areas)
@@ -85,8 +91,21 @@ class Cells(NamedTuple):
         def slopes(values: np.ndarray) -> np.ndarray:
             return mean(away[:, :, None] * values[:, None, :]) * per_width[:, :, None]
 
-        edges, spread = slopes(self.points), slopes(self.vectors / areas[:, None])
-        return Facets(points, normals, total(areas), edges, spread)
+        around = self.vectors / areas[:, None]
+        edges, spread = slopes(self.points), slopes(around)
+        skin = at_corners(points, normals, edges)
+        curved = np.abs(spread).max(axis=(1, 2)) > _FLAT
+        for k, corner in enumerate(_NEAR * CORNERS):
+            away = ((self.places - corner) ** 2).sum(axis=1)
+            rows = np.argsort(patch + away / 8, kind="stable")[first][curved]
+            skin[curved, k, 0], skin[curved, k, 1] = self.points[rows], around[rows]
+        return Facets(points, normals, total(areas), edges, spread, skin)
+
+
+def at_corners(points: np.ndarray, normals: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """Return `Facets.skin` of flat facets."""
+    corners = points[:, None] + CORNERS @ edges
+    return np.stack([corners, np.broadcast_to(normals[:, None], corners.shape)], axis=2)
 
 
 def triangles(corners: np.ndarray) -> Cells:

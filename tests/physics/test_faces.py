@@ -12,6 +12,7 @@ import pytest
 from mjgranular import Sand
 from mjgranular.shape import facets_from_model
 from mjgranular.shape.rigid import exposures, in_own_frames
+from mjgranular.shape.tessellation import at_corners
 
 MOTIONS = {"x": (0.1, 0, 0), "y": (0, 0.1, 0), "up": (0, 0, 0.1), "down": (0, 0, -0.1)}
 TANDEM = Path(__file__).parents[2] / "referee" / "data" / "tandem" / "upright.csv"
@@ -196,7 +197,8 @@ def exposed(geoms, joint="<freejoint/>"):
     """Facets, and the share of the area of each that meets sand, for a model of geoms."""
     model = model_of(geoms, joint=joint)
     facets = facets_from_model(model, range(model.ngeom), sheltered="keep")
-    return facets, exposures(model, in_own_frames(model), facets)
+    skins = at_corners(facets["point"], facets["normal"], facets["edges"])
+    return facets, exposures(model, in_own_frames(model), facets, skins)
 
 
 @pytest.mark.parametrize("joint", ["<freejoint/>", '<joint axis="0 1 0" pos="0 0 .5"/>'])
@@ -222,6 +224,56 @@ def test_walls_that_touch_shelter_as_one(joint):
         found[name] = float(share[front].mean())
     assert 0.2 < found["one"] < 0.6
     assert list(found.values()) == pytest.approx([found["one"]] * len(walls), abs=0.01)
+
+
+def lathe(*profile, at=(0.0, 0.0, 0.0), turns=24):
+    """Triangles of a ring or, from and to the axis, a solid; counter-clockwise from outside."""
+    angles = 2 * math.pi * np.arange(turns + 1) / turns
+    grid = [[(r * math.cos(a), r * math.sin(a), z) for a in angles] for r, z in profile]
+    a, b = np.array(grid)[:-1], np.array(grid)[1:]
+    halves = [(a[:, :-1], a[:, 1:], b[:, 1:]), (a[:, :-1], b[:, 1:], b[:, :-1])]
+    corners = np.concatenate([np.stack(half, axis=2).reshape(-1, 3, 3) for half in halves])
+    doubled = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return corners[np.linalg.norm(doubled, axis=1) > 1e-12] + at
+
+
+def mesh_of(*parts):
+    """Asset and geom of one mesh of these triangles."""
+    corners = np.concatenate(parts)
+    vertices, faces = np.unique(corners.reshape(-1, 3).round(9), axis=0, return_inverse=True)
+    text = [" ".join(map(str, values.ravel())) for values in (vertices, faces)]
+    mesh = f'<mesh name="{{0}}" inertia="shell" vertex="{text[0]}" face="{text[1]}"/>'
+    return mesh, '<geom type="mesh" mesh="{0}"/>'
+
+
+POT = [(0.0, -0.05), (0.05, -0.05), (0.05, 0.05), (0.048, 0.05), (0.048, -0.048), (0.0, -0.048)]
+SCREW = [(0.0, -0.005), (0.005, -0.005), (0.005, 0.005), (0.0, 0.005)]
+PLACES = 0.024 * np.array([*itertools.product((-1, 0, 1), (-1, 0, 1), (-1.5, -0.5, 0.5))])
+SHEET = [(0.0, 0.0), (0.05, 0.0), (0.05, 5e-4), (0.0, 5e-4)]
+
+
+@pytest.mark.parametrize(
+    "meshes",
+    [
+        # Screws in a pot that is open at the top: the pot's outside, and little of the rest.
+        [[lathe(*POT)], [lathe(*SCREW, at=at) for at in PLACES]],
+        [[lathe(*POT), *[lathe(*SCREW, at=at) for at in PLACES]]],
+        # Two sheets, 4 mm apart: their outsides.
+        [[lathe(*SHEET), lathe(*SHEET, at=(0, 0, 0.0045))]],
+    ],
+)
+def test_shelter_within_meshes_is_alike_at_all_resolutions(meshes):
+    pairs = [mesh_of(*parts) for parts in meshes]
+    asset, geoms = (
+        "".join(t.format(k) for k, t in enumerate(ts)) for ts in zip(*pairs, strict=True)
+    )
+    model = model_of(geoms, f"<asset>{asset}</asset>")
+    for resolution in (6, 24):
+        skins = [
+            facets_from_model(model, range(model.ngeom), resolution, sheltered=sheltered)["area"]
+            for sheltered in ("keep", "drop")
+        ]
+        assert skins[1].sum() / skins[0].sum() == pytest.approx(0.52, abs=0.03), resolution
 
 
 RIM, GROUSERS, HIGH = 0.1, 12, 0.018  # a wheel: radius [m], number, and height of grousers [m]

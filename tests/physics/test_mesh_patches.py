@@ -105,7 +105,7 @@ def test_closed_meshes_stay_closed(seed, size, place, resolution):
     assert error < 0.6 / resolution * skin * max(size) / 3
 
 
-FIELDS = ("normals", "areas", "edges", "spread")
+FIELDS = ("normals", "areas", "edges", "spread", "skin")
 
 
 def test_volume_converges():

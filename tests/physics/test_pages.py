@@ -306,7 +306,7 @@ def test_the_froude_number_is_by_the_widest_face_of_the_body():
 
 def test_rays_have_the_weight_on_the_page():
     (power,) = re.findall(r"\\cos\^\{(\d+)\}", (DOCS / "shapes.md").read_text("utf-8"))
-    assert len(rigid._CORNERS) * len(rigid._lobe()) == 32
+    assert len(rigid.CORNERS) * len(rigid._lobe()) == 32
     up = np.unique(rigid._lobe()[:, 2].round(12))
     # By solid angle cos^p, of which cos^(p+1) has evenly spread values.
     assert up ** (int(power) + 1) == pytest.approx((np.arange(len(up)) + 0.5) / len(up))
