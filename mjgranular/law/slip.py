@@ -64,7 +64,7 @@ def hidden_motion(law, facet, pose, centre, s, t, normal, g, ramp):
         (per_slide * q) * h,
         per_slide * across,
         choose(rubs < 1.0, rubs, 1.0),
-        slides / root(speed * speed + slow),
+        choose(square > _NONE, slides / root(speed * speed + slow), 0.0),
         per * turn_0,
         per * turn_1,
         per * turn_2,

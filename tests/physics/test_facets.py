@@ -1228,6 +1228,17 @@ def test_wheels_pull_alike_at_every_resolution(half, slip):
         assert np.mean(pulls) / (load * 9.81) == pytest.approx(expected, abs=0.01)
 
 
+@pytest.mark.parametrize("seed", [0, 1, 3])
+def test_the_force_does_not_jump_where_skin_begins_to_slide(seed):
+    ball = Pushed(body(geom("sphere")), "rft3d_dynamic added=0", 6)
+    velocity, spin = np.random.default_rng(seed).normal(size=(2, 2, 3)) * [[[1]], [[20]]]
+    ways = ((x @ velocity, x @ spin) for t in np.linspace(0, 1, 2001) for x in [[1 - t, t]])
+    level = (1, 0, 0, 0)
+    forces = np.array([ball.force((0, 0, -0.02), level, v, w) for v, w in ways])
+    steps, sizes = (np.linalg.norm(x, axis=1) for x in (np.diff(forces, axis=0), forces))
+    assert steps.max() < 0.005 * sizes.max()
+
+
 def test_a_roller_is_one_that_turns_about_its_own_axis():
     model = mujoco.MjModel.from_xml_string("""
     <mujoco><worldbody>

@@ -146,7 +146,7 @@ class Facet:
         self.rubs = min(2 * gone / (gone + self.slides), 1)
         scale = math.sqrt(speed**2 + slow)
         self.turn, self.turns, self.slides = (
-            x / scale for x in (self.turn, self.turns, self.slides)
+            x / scale for x in (self.turn, self.turns, self.slides * (h @ h > 0))
         )
 
     def static(self, u):
@@ -166,13 +166,13 @@ class Facet:
         n = self.n + s * self.spread[0] + t * self.spread[1]
         leads = (c + rises @ [s, t]) / np.linalg.norm(n)
         n, w = n / np.linalg.norm(n), u
-        if self.rubs > 0:
+        if self.slides > 0:
             e, d = (x - (x @ n) * n for x in (self.e, self.d))
             w = u - (e @ u) * d + (leads - n @ u) * n  # (S7)
             w /= np.linalg.norm(w)
         stress = self.page.stress(n, w)
         stress -= max(stress @ w, 0) * w
-        if self.rubs > 0:  # (S8)
+        if self.slides > 0:  # (S8)
             traction, along, share = stress - (stress @ n) * n, u - (u @ n) * n, self.rubs
             against = -np.linalg.norm(traction) * along / max(np.linalg.norm(along), self.slides)
             if stress @ u > 0:
