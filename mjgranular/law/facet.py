@@ -42,6 +42,7 @@ class Facet(NamedTuple):
     face: float  # width of the flat face, or the geom, that it is part of [m]
     flat: float  # fraction of the geom's projection in this direction that is one flat face
     layer: float  # width, of sand that moves along [m]
+    hides: tuple[Vector, Vector]  # of motion along itself, in edges
 
 
 class FacetSample(NamedTuple):
