@@ -42,6 +42,7 @@ class Facet(NamedTuple):
     face: float  # width of the flat face, or the geom, that it is part of [m]
     flat: float  # fraction of the geom's projection in this direction that is one flat face
     layer: float  # width, of sand that moves along [m]
+    hides: tuple[Vector, Vector]  # of motion along itself, in edges
 
 
 class FacetSample(NamedTuple):
@@ -67,7 +68,7 @@ class FacetSample(NamedTuple):
     skips: Vector  # motion that sand does not follow, over that along the skin
     along: Vector  # direction of the motion along the skin
     rubs: float  # share of the traction that opposes it
-    slides: float  # that motion over the facet's speed
+    slides: float  # that motion over the facet's speed; 0 if the facet does not slide along itself
     turn_0: float  # motion along the normal at the facet's middle, over the speed, beyond `point`'s
     turn_1: float  # what turning takes from its change along both half edges
     turn_2: float

@@ -111,9 +111,9 @@ def led_slope_kernel(slope: Any) -> Any:
         scale = 1.0 / norm(m)
         m = scale * m
         down, leads = dot(m, z), dot(m, u)
-        if facet.rubs > 0.0:
+        if facet.slides > 0.0:
             leads = scale * (c + la * a + lb * b)
-        w, size, e, d = followed(facet, m, u, leads) if facet.rubs > 0.0 else (u, 1.0, u, u)
+        w, size, e, d = followed(facet, m, u, leads) if facet.slides > 0.0 else (u, 1.0, u, u)
         rise, lead = dot(w, z), leads / size
         strength, f, by_rise, by_down, by_lead = dissipative(
             standing(slope(law, g, rise, down, lead), facet.cone, rise), rise, lead, eps
@@ -154,7 +154,7 @@ def led_slope_kernel(slope: Any) -> Any:
         force, by_p = plate_slope(f, gain * by_rise, by_lead, frame, rise, lead)
         column = dot(f_sided + al * by_lead + ad * by_down - vector(f.x * an, 0.0, 0.0), frame)
         column = la_sided * (column + turn * spread_1)
-        if facet.rubs > 0.0:
+        if facet.slides > 0.0:
             opposing, moving = opposed(force, facet, m, u), (w, size, e, d)
             # Changes of the normal, and of `leads`, toward both spreads.
             m_1, m_2 = scale * spread_1 - an * m, scale * spread_2 - bn * m
@@ -189,9 +189,9 @@ def simple_slope_kernel(slope: Any) -> Any:
     def led(facet, law, g, u, eps):
         n, z = facet.normal, facet.up
         down, leads = dot(n, z), dot(n, u)
-        if facet.rubs > 0.0:
+        if facet.slides > 0.0:
             leads = leads + facet.turn_0
-        w, size, e, d = followed(facet, n, u, leads) if facet.rubs > 0.0 else (u, 1.0, u, u)
+        w, size, e, d = followed(facet, n, u, leads) if facet.slides > 0.0 else (u, 1.0, u, u)
         rise, lead = dot(w, z), leads / size
         strength, f, by_rise, _, by_lead = dissipative(
             standing(slope(law, g, rise, down, lead), facet.cone, rise), rise, lead, eps
@@ -200,7 +200,7 @@ def simple_slope_kernel(slope: Any) -> Any:
         force, by_p = plate_slope(
             gain * f, gain * by_rise, gain * by_lead, vector(n, w, z), rise, lead
         )
-        if facet.rubs > 0.0:
+        if facet.slides > 0.0:
             opposing = opposed(force, facet, n, u)
             by_p = turned_slope(by_p, force, n, u, (w, size, e, d), opposing)
             force = opposing[0]
@@ -248,16 +248,17 @@ def led_by_differences(stress: Any) -> Any:
             a = math.copysign(first, a)
         load, s, t = load_of(facet.middle, facet.rise_1, facet.rise_2, facet.mean, c, a, b, sided)
         m = facet.normal + s * facet.spread_1 + t * facet.spread_2
-        leads = (c + s * rise + t * b) / norm(m)
-        m = m / norm(m)
-        w = u
-        if facet.rubs > 0.0:
+        size = norm(m)
+        m = m / size
+        w, leads = u, dot(m, u)
+        if facet.slides > 0.0:
+            leads = (c + s * rise + t * b) / size
             w, _size, _e, _d = followed(facet, m, u, leads)
         more = 1.0 + facet.cone * dot(w, facet.up) * dot(w, facet.up)
         force = (load * facet.area * more) * stress(law, g, m, w, facet.up)
-        if facet.rubs > 0.0:
+        if facet.slides > 0.0:
             force, _share, _slip, _traction, _per, _full = opposed(force, facet, m, u)
-        if load <= 0.0 or dot(m, u) <= edge_of(eps):
+        if load <= 0.0 or leads <= edge_of(eps):
             force = vector(0.0, 0.0, 0.0)
         # The fit describes leading faces; on the ramp it is also evaluated for slightly trailing
         # ones.

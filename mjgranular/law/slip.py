@@ -15,8 +15,6 @@ SLIP = 2.0
 """tan(theta): sand follows motion at up to 63 degrees to the normal of a skin that slides along
 itself. Chosen: between 1.5 and 3 no error of docs/validity.md changes by more than 0.5 points."""
 
-# Skin hides motion if its radius is at most so many times its width, chosen: the shells of legs do.
-_WIDEST = 2.0
 # Square of a speed that counts as rest, in units of g times the width; chosen.
 _SLOW = 1e-6
 # Skin that slides along itself by more of its speed counts as doing that; chosen: the contact of
@@ -35,17 +33,19 @@ def hidden_motion(law, facet, pose, centre, s, t, normal, g, ramp):
     """
     motion = pose.motion
     turn = cross(transposed(pose.rotation) @ motion.angular, facet.normal)
-    first, turn_1 = _along(facet.edges[0], facet.spread[0], turn, facet.face)
-    second, turn_2 = _along(facet.edges[1], facet.spread[1], turn, facet.face)
-    h = pose.rotation @ (first * facet.edges[0] + second * facet.edges[1])
-    h = (1.0 - facet.flat) * (h - dot(h, normal) * normal)
+    first, second = dot(facet.hides[0], turn), dot(facet.hides[1], turn)
+    h = first * facet.edges[0] + second * facet.edges[1]
+    turn = first * facet.spread[0] + second * facet.spread[1]  # along directions that are round
+    turn_1, turn_2 = dot(facet.spread[0], h), dot(facet.spread[1], h)
+    h = pose.rotation @ h
+    h = h - dot(h, normal) * normal
     v = velocity_at(motion, centre - pose.tree)
     lead, speed = dot(v, normal), root(dot(v, v))
     across, least = v - lead * normal, ramp * speed
     # The facet's middle, and its skin there, which is farther out than the mean of the facet.
+    bulge = _SIXTH * (dot(facet.edges[0], facet.spread[0]) + dot(facet.edges[1], facet.spread[1]))
     turn_0 = s * turn_1 + t * turn_2
     lead = lead + turn_0
-    bulge = _SIXTH * (dot(facet.edges[0], facet.spread[0]) + dot(facet.edges[1], facet.spread[1]))
     turn_1 = turn_1 - bulge * dot(turn, facet.spread[0])
     turn_2 = turn_2 - bulge * dot(turn, facet.spread[1])
     most = law.slip * choose(lead > least, lead, least)
@@ -64,23 +64,11 @@ def hidden_motion(law, facet, pose, centre, s, t, normal, g, ramp):
         (per_slide * q) * h,
         per_slide * across,
         choose(rubs < 1.0, rubs, 1.0),
-        slides / root(speed * speed + slow),
+        choose(square > _NONE, slides / root(speed * speed + slow), 0.0),
         per * turn_0,
         per * turn_1,
         per * turn_2,
     )
-
-
-@partial(compiled, inline=True)
-def _along(edge, spread, turn, width):
-    """Return what a round facet slides along an edge as its normal turns, in edges per second (S6).
-
-    Also how fast its middle moves along the normal of the edge's end [m/s].
-    """
-    square = dot(spread, spread)
-    is_round = _WIDEST * _WIDEST * width * width * square > dot(edge, edge)
-    slides = choose(is_round, dot(spread, turn), 0.0) / choose(is_round, square, 1.0)
-    return slides, choose(is_round, dot(edge, turn), 0.0)
 
 
 @partial(compiled, inline=True)

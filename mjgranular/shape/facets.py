@@ -30,6 +30,9 @@ FACET_DTYPE = np.dtype(
         ("face", np.float64),  # width of the face that it is part of [m] (`shape.rigid`)
         ("flat", np.float64),  # 0 to 1: fraction of the geom's projection that is one flat face
         ("layer", np.float64),  # width, of sand that moves along [m] (`shape.rigid`)
+        # As its normal turns by t [rad], skin slides along itself by hides[0].t of edges[0] and
+        # hides[1].t of edges[1] (`law.slip`).
+        ("hides", np.float64, (2, 3)),
     ]
 )
 
@@ -38,6 +41,7 @@ FINEST = 200
 
 _TOUCH = 1e-6  # share of a geom's size within which surfaces coincide; chosen: far above rounding
 _FLAT = 1e-9  # change of a normal that is rounding; chosen
+_ROUND = 2.0  # radius of round skin, in its widths, at most; chosen: the shells of legs are round
 _TURNS = 16  # positions around a hinge; less of a turn between limits is not all round; chosen
 
 _GEOM, _HINGE = mujoco.mjtGeom, int(mujoco.mjtJoint.mjJNT_HINGE)
@@ -94,14 +98,14 @@ def facets_from_model(
                 inside = within_others(corners, shells[parents], vertices[faces], shells)
                 seen = ~(inside | hidden_skin(model, data, geom, skin, ordered))
                 corners, parents = corners[seen], parents[seen]
-            bends, centers = patches.bends(vertices, faces), vertices[faces].mean(axis=1)
             facets = patches.single(corners)
             bent = facets.spread
             if is_cut:
-                facets, bent = patches.gathered(corners, fine, bends[parents], centers[parents])
+                bends, offsets = patches.bends(vertices, faces)
+                facets, bent = patches.gathered(corners, fine, bends[parents], offsets[parents])
             width = sizes.geom_width(model, geom)
             flat = patches.flatness(facets.points, facets.normals, facets.areas, width)
-            facets.spread[flat == 0] += bent[flat == 0]
+            facets.spread[:] += np.maximum(1 - 2 * flat, 0)[:, None, None] * bent
         else:
             skin = _skin(model, data, geom, fine)
             if hidden == "drop":
@@ -137,8 +141,19 @@ def facets_from_model(
     widest = np.zeros(model.ngeom)
     np.maximum.at(widest, facets["geom"], facets["face"])
     facets["width"] = widest[facets["geom"]]
+    facets["hides"] = _hidden(facets)
     facets["area"] *= exposed
     return facets[facets["area"] > 0]
+
+
+def _hidden(facets: np.ndarray) -> np.ndarray:
+    """Return `hides` of facets: along directions of principal curvature, where skin is round."""
+    dual = np.linalg.pinv(facets["edges"])
+    bend = dual @ facets["spread"] @ dual @ facets["edges"]
+    curvatures, axes = np.linalg.eigh((bend + bend.swapaxes(1, 2)) / 2)
+    is_round = np.abs(curvatures) * facets["face"][:, None] > 1 / _ROUND
+    radii = is_round / np.where(is_round, curvatures, 1) * (1 - facets["flat"])[:, None]
+    return dual.swapaxes(1, 2) @ (axes * radii[:, None]) @ axes.swapaxes(1, 2)
 
 
 def hidden_skin(

@@ -28,7 +28,8 @@ _FLAT = 1e-6  # patches narrower than this share of their mesh have zero width; 
 # Of one flat face: normals within 10 degrees, and centers within a twentieth of the width; chosen.
 _PARALLEL, _COPLANAR = 0.985, 0.05
 _CURVED = math.sqrt(1 - _PARALLEL**2)  # such a fraction of a cylinder's projection is no flat face
-_SMOOTH = math.cos(math.radians(30))  # triangles at a smaller angle are of a round surface; chosen
+# Triangles at a smaller angle are of a round surface, at a larger one not; chosen.
+_SMOOTH, _SHARP = math.cos(math.radians(30)), math.cos(math.radians(45))
 _ENOUGH = 2000  # maximum number of facets in the comparison; chosen
 # Where a patch is sampled, as shares of its area: not on the edges of equal triangles.
 _QUARTERS = (0.13, 0.37, 0.63, 0.87)
@@ -57,11 +58,13 @@ def pieces(corners: np.ndarray, resolution: int) -> tuple[np.ndarray, np.ndarray
     return corners, parents
 
 
-def bends(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Return how the normal of a round surface changes along each of its triangles [1/m].
+def bends(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return how much a round surface's normal differs from each triangle's, linear in position.
 
-    At the middle of an edge it is the mean of both triangles', unless they differ by more than
-    30 degrees. Shape (n, 3, 3), the normal's components first; for vertices [m] and their faces.
+    At the middle of an edge it is the mean of both triangles', less so if they differ by more than
+    30 degrees, and not by more than 45. That is slopes [1/m] of shape (n, 3, 3), the normal's
+    components first, times the position, plus an offset of shape (n, 3); for vertices [m] and their
+    faces.
     """
     corners = vertices[faces]
     edges = np.roll(corners, -1, axis=1) - corners
@@ -73,25 +76,29 @@ def bends(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     _, edge, count = np.unique(ends.reshape(-1, 2), axis=0, return_inverse=True, return_counts=True)
     edge, own = edge.ravel(), np.repeat(normals, 3, axis=0)
     both = np.stack([np.bincount(edge, column) for column in own.T], axis=1)[edge]
-    smooth = (count[edge] == 2) & (np.einsum("ni,ni->n", own, both - own) > _SMOOTH)
-    turned = np.zeros((len(own), 3))
+    share = (np.einsum("ni,ni->n", own, both - own) - _SHARP) / (_SMOOTH - _SHARP)
+    share = np.where(count[edge] == 2, np.clip(share, 0, 1), 0.0)
+    smooth, turned = share > 0, np.zeros((len(own), 3))
     turned[smooth] = both[smooth] / np.linalg.norm(both[smooth], axis=1)[:, None] - own[smooth]
+    turned *= share[:, None]
     # 1 at the middle of an edge, and 0 at the middles of the others.
     slopes = 2.0 * np.cross(edges, vectors[:, None]) / square[:, None, None]
-    return np.einsum("nki,nkj->nij", turned.reshape(-1, 3, 3), slopes)
+    turned = turned.reshape(-1, 3, 3)
+    bends = np.einsum("nki,nkj->nij", turned, slopes)
+    return bends, turned.mean(axis=1) - np.einsum("nij,nj->ni", bends, corners.mean(axis=1))
 
 
 def gathered(
-    corners: np.ndarray, resolution: int, bends: np.ndarray, centers: np.ndarray
+    corners: np.ndarray, resolution: int, bends: np.ndarray, offsets: np.ndarray
 ) -> tuple[Facets, np.ndarray]:
     """Group triangles into patches, at most twice the square of the resolution.
 
-    Their corners, counter-clockwise seen from outside [m], are of shape (n, 3, 3), also those of
-    the `bends` of the whole triangles that they are pieces of; these have `centers` [m]. Returns as
-    well what the bends add to the spread if the surface is round, shape (n, 2, 3).
+    Their corners, counter-clockwise seen from outside [m], are of shape (n, 3, 3); `bends`, with
+    offsets, are of the whole triangles that they are pieces of. Returns as well what the bends add
+    to the spread if the surface is round, shape (n, 2, 3).
     """
     there = _areas(corners)[1] > 0
-    corners, bends, centers = corners[there], bends[there], centers[there]
+    corners, bends, offsets = corners[there], bends[there], offsets[there]
     vectors, areas = _areas(corners)
     if not len(corners):
         shapes = ((3,), (3,), (), (2, 3), (2, 3), (4, 2, 3))
@@ -113,7 +120,7 @@ def gathered(
     moments = total(areas[:, None, None] * (own + away[:, :, None] * away[:, None]))
     moments /= area[:, None, None]
     turning = total(away[:, :, None] * vectors[:, None]) / area[:, None, None]
-    bent = np.einsum("ni,nj->nij", away, np.einsum("nij,nj->ni", bends, points - centers))
+    bent = np.einsum("ni,nj->nij", away, np.einsum("nij,nj->ni", bends, points) + offsets)
     bent = total(areas[:, None, None] * (bent + own @ bends.swapaxes(1, 2))) / area[:, None, None]
     sizes = np.linalg.norm(whole, axis=1)
     there = sizes > _CANCELLED * area

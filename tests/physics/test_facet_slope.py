@@ -148,7 +148,7 @@ class Facet:
     along: np.ndarray
     turns: tuple[float, ...] = (0.0, 0.0, 0.0)
     rubs: float = 0.0
-    slides: float = 1.0
+    slides: float = 0.0
     cone: float = 0.3
 
     def immersed(self):
@@ -184,10 +184,10 @@ class Facet:
         leads = (n @ u + self.turns[0] + (spread @ u - self.turns[1:]) @ [s, t]) / np.sqrt(m @ m)
         m = unit(m)
         e, d = (x - (x @ m) * m for x in (self.along, self.skips))
-        w = unit(u - (e @ u) * d + (leads - m @ u) * m) if self.rubs > 0 else u
+        w = unit(u - (e @ u) * d + (leads - m @ u) * m) if self.slides > 0 else u
         found = stress(law, m, w, z) * (1 + self.cone * (w @ z) ** 2)
         found -= max(found @ w, REAL(0)) * w
-        return AREA * load * (self.opposed(found, m, u) if self.rubs > 0 else found)
+        return AREA * load * (self.opposed(found, m, u) if self.slides > 0 else found)
 
     def opposed(self, found, m, u):
         """A share of the traction against the motion along the skin, at least one that slows it."""

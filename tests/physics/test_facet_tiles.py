@@ -164,7 +164,7 @@ def test_tiles_hold_the_facets_in_their_order():
     first = 0
     for slot, count in enumerate(counts):
         mine = elements[elements["slot"] == slot]
-        here = tiles[first : first + -(-count // lanes)].transpose(0, 2, 1).reshape(-1, 22)
+        here = tiles[first : first + -(-count // lanes)].transpose(0, 2, 1).reshape(-1, 28)
         first += -(-count // lanes)
         np.testing.assert_array_equal(here[:count, :3], mine["point"])
         np.testing.assert_array_equal(here[:count, 3:6], mine["normal"])
@@ -174,6 +174,7 @@ def test_tiles_hold_the_facets_in_their_order():
         np.testing.assert_array_equal(here[:count, 19], mine["face"])
         np.testing.assert_array_equal(here[:count, 20], mine["flat"])
         np.testing.assert_array_equal(here[:count, 21], mine["layer"])
+        np.testing.assert_array_equal(here[:count, 22:].reshape(-1, 2, 3), mine["hides"])
         assert (here[count:] == here[count - 1]).all()  # lanes that are left over
 
 

@@ -1228,6 +1228,54 @@ def test_wheels_pull_alike_at_every_resolution(half, slip):
         assert np.mean(pulls) / (load * 9.81) == pytest.approx(expected, abs=0.01)
 
 
+def hull_model(points):
+    spec = mujoco.MjSpec()
+    spec.add_mesh(name="mesh").uservert = np.asarray(points, float).ravel()
+    kind = mujoco.mjtGeom.mjGEOM_MESH
+    body = spec.worldbody.add_body()
+    body.add_freejoint()
+    body.add_geom(type=kind, meshname="mesh")
+    return spec.compile()
+
+
+def rings(sides, *rounds):
+    angles = 2 * math.pi / sides * np.arange(sides)
+    return [(r * math.cos(a), r * math.sin(a), z) for r, z in rounds for a in angles]
+
+
+SPUN = {  # with how far the middle of a side is from a circle
+    "wheel of 13": (rings(13, (0.1, -0.03), (0.1, 0.03)), 0.25),
+    **{f"wheel of {n}": (rings(n, (0.1, -0.03), (0.1, 0.03)), 0.15) for n in (16, 18, 19, 24, 64)},
+    "ball": (
+        rings(24, *((0.05 * math.sin(a), 0.05 * math.cos(a)) for a in np.linspace(0, math.pi, 13))),
+        0.1,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", SPUN)
+def test_round_meshes_slide_along_themselves_as_they_spin(name):
+    points, close = SPUN[name]
+    found = facets_from_model(hull_model(points), [0])
+    found = found[np.abs(found["normal"][:, 2]) < 0.3]
+    speeds = np.cross((0, 0, 1), found["point"])
+    turns = np.cross((0, 0, 1), found["normal"])
+    hidden = np.einsum("nki,ni,nkj->nj", found["hides"], turns, found["edges"])
+    off = np.linalg.norm(hidden - speeds, axis=1) / np.linalg.norm(speeds, axis=1)
+    assert off.max() < close
+
+
+@pytest.mark.parametrize("seed", [0, 1, 3])
+def test_the_force_does_not_jump_where_skin_begins_to_slide(seed):
+    ball = Pushed(body(geom("sphere")), "rft3d_dynamic added=0", 6)
+    velocity, spin = np.random.default_rng(seed).normal(size=(2, 2, 3)) * [[[1]], [[20]]]
+    ways = ((x @ velocity, x @ spin) for t in np.linspace(0, 1, 2001) for x in [[1 - t, t]])
+    level = (1, 0, 0, 0)
+    forces = np.array([ball.force((0, 0, -0.02), level, v, w) for v, w in ways])
+    steps, sizes = (np.linalg.norm(x, axis=1) for x in (np.diff(forces, axis=0), forces))
+    assert steps.max() < 0.005 * sizes.max()
+
+
 def test_a_roller_is_one_that_turns_about_its_own_axis():
     model = mujoco.MjModel.from_xml_string("""
     <mujoco><worldbody>

@@ -126,17 +126,19 @@ class Facet:
     def slide(self, edges, spin, element, pressure):
         """(S6) to (S8): h, q, e, and the share b of the traction that opposes the motion."""
         turn, speed, lead = np.cross(spin, self.n), np.linalg.norm(self.v), self.n @ self.v
-        h, slow, self.turns = np.zeros(3), 1e-6 * G * element["face"], np.zeros(2)
-        for k, (edge, spread) in enumerate(zip(edges, self.spread, strict=True)):
-            if spread @ spread > edge @ edge / (2 * element["face"]) ** 2:
-                h += (spread @ turn) / (spread @ spread) * edge
-                self.turns[k] = edge @ turn
-        h = (1 - element["flat"]) * (h - (h @ self.n) * self.n)
-        across = self.v - lead * self.n
+        dual, slow = np.linalg.pinv(edges), 1e-6 * G * element["face"]
+        bend = dual @ self.spread @ dual @ edges
+        curvatures, axes = np.linalg.eigh((bend + bend.T) / 2)
+        is_round = np.abs(curvatures) > 1 / (2 * element["face"])
+        axes = axes[:, is_round]
+        h = (1 - element["flat"]) * axes @ (axes.T @ turn / curvatures[is_round])
+        turn = self.spread.T @ dual.T @ h
+        across, self.turns = self.v - lead * self.n, self.spread @ h
+        h -= (h @ self.n) * self.n
         self.turn = pressure @ self.turns
         lead += self.turn
         bulge = np.einsum("ij,ij", edges, self.spread) / 6
-        self.turns -= bulge * self.spread @ turn * (self.turns != 0)
+        self.turns -= bulge * self.spread @ turn
         most, q = SLIP * max(lead, RAMP * speed), 0.0
         if across @ across > most**2 and h @ across > 0:
             rest = (h @ across) ** 2 - h @ h * (across @ across - most**2)
@@ -146,7 +148,7 @@ class Facet:
         self.rubs = min(2 * gone / (gone + self.slides), 1)
         scale = math.sqrt(speed**2 + slow)
         self.turn, self.turns, self.slides = (
-            x / scale for x in (self.turn, self.turns, self.slides)
+            x / scale for x in (self.turn, self.turns, self.slides * (h @ h > 0))
         )
 
     def static(self, u):
@@ -166,13 +168,13 @@ class Facet:
         n = self.n + s * self.spread[0] + t * self.spread[1]
         leads = (c + rises @ [s, t]) / np.linalg.norm(n)
         n, w = n / np.linalg.norm(n), u
-        if self.rubs > 0:
+        if self.slides > 0:
             e, d = (x - (x @ n) * n for x in (self.e, self.d))
             w = u - (e @ u) * d + (leads - n @ u) * n  # (S7)
             w /= np.linalg.norm(w)
         stress = self.page.stress(n, w)
         stress -= max(stress @ w, 0) * w
-        if self.rubs > 0:  # (S8)
+        if self.slides > 0:  # (S8)
             traction, along, share = stress - (stress @ n) * n, u - (u @ n) * n, self.rubs
             against = -np.linalg.norm(traction) * along / max(np.linalg.norm(along), self.slides)
             if stress @ u > 0:
