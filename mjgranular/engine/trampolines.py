@@ -30,12 +30,13 @@ FAIL = "mjgranular_fail"
 """Name of `fail(text)`: raise an error of MuJoCo; does not return."""
 
 UNPREPARED = "mjgranular_unprepared"
-"""Name of `unprepared(model, data)`: raise MuJoCo's error, unless unprepared sand is meant."""
+"""Name of the first `compute` of plugins: an error of MuJoCo, unless unprepared sand is meant."""
 
 FORGET = "mjgranular_forget"
-"""Name of `forget(data)`, called when an `mjData` is freed: another may get its address."""
+"""Name of the first `destroy`: when an `mjData` is freed, another may get its address."""
 
 _HAS_FAILED = "mjgranular_has_failed"  # a call of Python, from its result, which is released
+_RESET = "mjgranular_reset"  # the first `reset`: there is nothing to do
 
 pausing = ctypes.c_int64(0)
 """Address of the `mjData` that runs without sand while an interrupt is pending; 0 for none."""
@@ -68,7 +69,7 @@ define void @mjgranular_fail(i64 %text) {
   ret void
 }
 
-define void @mjgranular_unprepared(ptr %model, i64 %data) {
+define void @mjgranular_unprepared(ptr %model, i64 %data, i32 %instance, i32 %capability) {
   %pausing = load volatile i64, ptr inttoptr (i64 PAUSING to ptr)
   %meant = icmp eq i64 %pausing, %data
   %place = getelementptr i8, ptr %model, i64 DISABLED
@@ -84,12 +85,7 @@ leave:
   ret void
 }
 
-define void @mjgranular_compute(ptr %model, i64 %data, i32 %instance, i32 %capability) {
-  call void @mjgranular_unprepared(ptr %model, i64 %data)
-  ret void
-}
-
-define void @mjgranular_forget(i64 %data) {
+define void @mjgranular_forget(i64 %data, i32 %instance) {
   %pausing = load volatile i64, ptr inttoptr (i64 PAUSING to ptr)
   %gone = icmp eq i64 %pausing, %data
   br i1 %gone, label %forget, label %leave
@@ -97,11 +93,6 @@ forget:
   store volatile i64 0, ptr inttoptr (i64 PAUSING to ptr)
   br label %leave
 leave:
-  ret void
-}
-
-define void @mjgranular_destroy(i64 %data, i32 %instance) {
-  call void @mjgranular_forget(i64 %data)
   ret void
 }
 
@@ -283,12 +274,10 @@ def _common() -> dict[str, int]:
         DISABLED=offset_of("mjModel", "opt") + offset_of("mjOption", "disableflags"),
         NO_FORCES=NO_GRAVITY | NO_PASSIVE_FORCES | int(mujoco.mjtDisableBit.mjDSBL_ACTUATION),
     ).replace("[WHY]", _text(_WHY))
-    fields = {f"mjgranular_{field}": field for field in ("compute", "reset", "destroy")}
-    shared = (FAIL, UNPREPARED, FORGET, _HAS_FAILED)
-    found = load_functions(code, (*fields, *shared))
-    for name in shared:
-        publish(name, found[name])
-    return {field: found[name] for name, field in fields.items()}
+    found = load_functions(code, (FAIL, UNPREPARED, FORGET, _HAS_FAILED, _RESET))
+    for name, address in found.items():
+        publish(name, address)
+    return {"compute": found[UNPREPARED], "reset": found[_RESET], "destroy": found[FORGET]}
 
 
 def _filled(code: str, **words: object) -> str:
