@@ -27,6 +27,7 @@ _PUSH_SIZE = np.array([0.5, 0.5, 0.4, 0.52, 0.52, 0.78])  # [m/s], [rad/s]
 _STANDING, _FORWARD = 0.1, 0.2  # shares of commands to stand, and to walk straight ahead
 
 _TILT = math.cos(math.radians(70))  # as in mjlab
+# Proportional to the strength of the motors.
 _OF_MOTORS = ("actuator_gainprm", "actuator_biasprm", "actuator_forcerange")
 
 
@@ -394,7 +395,7 @@ class Go1Velocity(Task):
         delay = random.integers(least, most + 1) if least < most else least
         drawn["motors"], drawn["targets"] = (strength, delay), self._stance
         varied = self.motor_strength != (1.0, 1.0)
-        motors = {name: strength * self._motors[name] for name in _OF_MOTORS if varied}
+        motors = {name: strength * getattr(self.model, name) for name in _OF_MOTORS if varied}
         return Start(qpos, qvel, drawn.view(float), motors)
 
     def begin(self, random: np.random.Generator, sample: Sample | None) -> Start:
@@ -409,11 +410,6 @@ class Go1Velocity(Task):
     def varied(self) -> tuple[str, ...]:
         fixed = self.motor_strength == (1.0, 1.0)
         return super().varied if fixed else (*super().varied, *_OF_MOTORS)
-
-    @cached_property
-    def _motors(self) -> dict[str, np.ndarray]:
-        """What is proportional to the strength of the motors, as in the data sheet."""
-        return {name: getattr(self.model, name).copy() for name in _OF_MOTORS}
 
     def _draw_commands(self, random: np.random.Generator) -> np.ndarray:
         """Return steps at which commands begin, and commands; shape (_COMMANDS, 4)."""

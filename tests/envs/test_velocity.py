@@ -427,7 +427,7 @@ def test_motors_are_drawn_in_strength_and_delay():
             np.testing.assert_array_equal(observation, observations[number])
             np.testing.assert_array_equal(alone["privileged"], info["privileged"][number])
     for number, env in enumerate(singles):
-        full = env.task._motors["actuator_gainprm"][0, 0]
+        full = env.task.model.actuator_gainprm[0, 0]
         assert env.model.actuator_gainprm[0, 0] == pytest.approx(full * strength[number])
 
 
