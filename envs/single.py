@@ -11,6 +11,7 @@ import numpy as np
 
 from mjgranular.envs.cameras import RENDER_MODES, Cameras
 from mjgranular.envs.figures import BAD
+from mjgranular.envs.ranges import SandRanges
 from mjgranular.envs.task import Task, check_actions, get_task
 
 
@@ -81,7 +82,7 @@ class SandEnv(gym.Env[np.ndarray, np.ndarray]):
                 environment without `randomise`.
         """
         task, model, data = self.task, self.model, self.data
-        ranges = task.ranges(options)
+        ranges = SandRanges.of_reset(task.randomise, options)
         super().reset(seed=seed)
         random = self.np_random
         sample = task.sample(random, self._episodes, ranges)

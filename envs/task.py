@@ -276,10 +276,6 @@ class Task(SandSpec, ABC):
         """Return the state of one simulation: views of its data with a leading axis of one."""
         return self.new_state({name: getattr(data, name)[None] for name in self.bound})
 
-    def ranges(self, options: Mapping[str, Any] | None) -> SandRanges | None:
-        """Return the ranges for one episode from the options of a reset: `randomise` by default."""
-        return SandRanges.of_reset(self.randomise, options)
-
     def sample(
         self, random: np.random.Generator, episode: int, ranges: SandRanges | None
     ) -> Sample | None:

@@ -116,7 +116,7 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         """
         others = dict(options) if isinstance(options, Mapping) else options
         mask = others.pop("reset_mask", None) if isinstance(others, dict) else None
-        ranges = self.task.ranges(others)
+        ranges = SandRanges.of_reset(self.task.randomise, others)
         if seed is None:
             seeds: list[int | None] = [None] * self.num_envs
         elif isinstance(seed, (int, np.integer)):

@@ -4,7 +4,6 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
@@ -19,14 +18,8 @@ from mjgranular.errors import InputError, shown
 from mjgranular.models import robot_path
 from mjgranular.shape.sizes import geom_axes
 
-# Rows of `userdata`, before those of `_Rows`: steps of the episode, sine and cosine of the slope,
-# and what is drawn at the start: commands and pushes, each with the step at which it begins.
-_STEP, _SLOPE = 0, slice(1, 3)
 _COMMANDS, _PUSHES = 8, 20  # at most, in an episode of 20 s
-_COMMAND = slice(3, 3 + 4 * _COMMANDS)
-_PUSH = slice(_COMMAND.stop, _COMMAND.stop + 7 * _PUSHES)
-_STRENGTH, _DELAY = _PUSH.stop, _PUSH.stop + 1  # of the motors in this episode
-_LATE = 3  # the longest delay
+_LATE = 3  # the longest delay, in steps
 
 _COMMAND_TIME = (3.0, 8.0)  # of a command [s]; these and the next two as in mjlab
 _PUSH_TIME = (1.0, 3.0)  # from one push to the next [s]
@@ -34,16 +27,8 @@ _PUSH_SIZE = np.array([0.5, 0.5, 0.4, 0.52, 0.52, 0.78])  # [m/s], [rad/s]
 _STANDING, _FORWARD = 0.1, 0.2  # shares of commands to stand, and to walk straight ahead
 
 _TILT = math.cos(math.radians(70))  # as in mjlab
+# Proportional to the strength of the motors.
 _OF_MOTORS = ("actuator_gainprm", "actuator_biasprm", "actuator_forcerange")
-
-
-class _Rows(NamedTuple):
-    """Rows of `userdata` whose number depends on the robot."""
-
-    action: slice  # the last one
-    targets: slice  # earlier ones, the last first
-    past: slice  # what was sensed in earlier steps, the last step first
-    sensed: int  # observations before the command
 
 
 class Motor(NamedTuple):
@@ -287,7 +272,7 @@ class Go1Velocity(Task):
         spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[50, 50, 1])
         spec.option.timestep = self.timestep
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-        spec.nuserdata = self._rows.past.stop
+        spec.nuserdata = self._episode.itemsize // 8
         return spec
 
     def _find_joints(self, spec: mujoco.MjSpec) -> list[mujoco.MjsJoint]:
@@ -324,11 +309,26 @@ class Go1Velocity(Task):
         foot.add_site(name=_sole_name(foot.name), pos=lowest.pos, size=lowest.size, group=5)
 
     @cached_property
-    def _rows(self) -> _Rows:
+    def _episode(self) -> np.dtype:
+        """What `userdata` has of an episode."""
         count, sensed = len(self.stance), 6 + 3 * len(self.stance)
-        ends = np.cumsum([_DELAY + 1, count, count * _LATE, sensed * self.history]).tolist()
-        action, targets, past = (slice(*each) for each in pairwise(ends))
-        return _Rows(action, targets, past, sensed)
+        return np.dtype(
+            [
+                ("step", float),  # number of steps so far
+                ("slope", float, (2,)),  # sine and cosine
+                # Drawn at the start; commands and pushes each with the step at which it begins.
+                ("commands", float, (_COMMANDS, 4)),
+                ("pushes", float, (_PUSHES, 7)),
+                ("motors", float, (2,)),  # their strength, and the delay of their targets
+                ("action", float, (count,)),  # the last one
+                ("targets", float, (_LATE, count)),  # earlier ones, the last first
+                ("past", float, (self.history, sensed)),  # observed before, the last step first
+            ]
+        )
+
+    def drawn(self, state: State) -> np.ndarray:
+        """Return what the user data of episodes have, records of shape (n,)."""
+        return state.userdata.view(self._episode)[:, 0]
 
     @cached_property
     def _stance(self) -> np.ndarray:
@@ -388,34 +388,28 @@ class Go1Velocity(Task):
         qpos[7:] += random.uniform(-noise, noise, len(self._stance))
         qvel = np.zeros(self.model.nv)
         qvel[6:] = random.uniform(-noise, noise, len(self._stance))
-        userdata = np.zeros(self.model.nuserdata)
-        userdata[_SLOPE] = 0.0, 1.0
-        userdata[_COMMAND] = self._draw_commands(random).ravel()
-        userdata[_PUSH] = self._draw_pushes(random).ravel()
-        strength = userdata[_STRENGTH] = _draw(random, *self.motor_strength)
-        least, most = self.delay
-        userdata[_DELAY] = random.integers(least, most + 1) if least < most else least
-        userdata[self._rows.targets] = np.tile(self._stance, _LATE)
+        drawn = np.zeros(1, self._episode)
+        drawn["slope"] = 0.0, 1.0
+        drawn["commands"], drawn["pushes"] = self._draw_commands(random), self._draw_pushes(random)
+        strength, (least, most) = _draw(random, *self.motor_strength), self.delay
+        delay = random.integers(least, most + 1) if least < most else least
+        drawn["motors"], drawn["targets"] = (strength, delay), self._stance
         varied = self.motor_strength != (1.0, 1.0)
-        motors = {name: strength * self._motors[name] for name in _OF_MOTORS if varied}
-        return Start(qpos, qvel, userdata, motors)
+        motors = {name: strength * getattr(self.model, name) for name in _OF_MOTORS if varied}
+        return Start(qpos, qvel, drawn.view(float), motors)
 
     def begin(self, random: np.random.Generator, sample: Sample | None) -> Start:
         start = super().begin(random, sample)
         if sample is not None:
             assert start.userdata is not None
-            start.userdata[_SLOPE] = math.sin(sample.slope), math.cos(sample.slope)
+            slope = math.sin(sample.slope), math.cos(sample.slope)
+            start.userdata.view(self._episode)["slope"] = slope
         return start
 
     @property
     def varied(self) -> tuple[str, ...]:
         fixed = self.motor_strength == (1.0, 1.0)
         return super().varied if fixed else (*super().varied, *_OF_MOTORS)
-
-    @cached_property
-    def _motors(self) -> dict[str, np.ndarray]:
-        """What is proportional to the strength of the motors, as in the data sheet."""
-        return {name: getattr(self.model, name).copy() for name in _OF_MOTORS}
 
     def _draw_commands(self, random: np.random.Generator) -> np.ndarray:
         """Return steps at which commands begin, and commands; shape (_COMMANDS, 4)."""
@@ -444,30 +438,25 @@ class Go1Velocity(Task):
     # A step.
 
     def mark(self, state: State) -> tuple[np.ndarray, np.ndarray]:
-        return state.userdata[:, self._rows.action].copy(), state.site_xpos.take(self._feet, axis=1)
+        return self.drawn(state)["action"].copy(), state.site_xpos.take(self._feet, axis=1)
 
     def act(self, action: np.ndarray, state: State) -> np.ndarray:
-        applied, rows = np.clip(action, -1.0, 1.0).astype(float), self._rows
+        applied, drawn = np.clip(action, -1.0, 1.0).astype(float), self.drawn(state)
         if self.history:
-            past = state.userdata[:, rows.past]
-            sensed = self.once(state, "sensed", self._sense)
-            past[:] = np.concatenate([sensed, past[:, : -rows.sensed]], axis=1)
-        state.userdata[:, rows.action] = applied
-        state.userdata[:, _STEP] += 1
+            sensed = self.once(state, "sensed", self._sense)[:, None]
+            drawn["past"] = np.concatenate([sensed, drawn["past"][:, :-1]], axis=1)
+        drawn["action"] = applied
+        drawn["step"] += 1
         state.found.clear()  # the command and the phase of the gait are those of the next step
-        self._push(state)
+        pushes = drawn["pushes"]
+        for row, push in np.argwhere(pushes[:, :, 0] == drawn["step"][:, None]):
+            state.qvel[row, :6] += pushes[row, push, 1:]
         targets = self._stance + self._trot(state) + applied
         if self.delay == (0, 0):
             return targets
-        count, late = targets.shape[1], state.userdata[:, _DELAY].astype(int)
-        known = np.concatenate([targets, state.userdata[:, rows.targets]], axis=1)
-        state.userdata[:, rows.targets] = known[:, :-count]
-        return known.reshape(-1, _LATE + 1, count)[np.arange(len(known)), late]
-
-    def _push(self, state: State) -> None:
-        pushes = state.userdata[:, _PUSH].reshape(-1, _PUSHES, 7)
-        for row, push in np.argwhere(pushes[:, :, 0] == state.userdata[:, _STEP, None]):
-            state.qvel[row, :6] += pushes[row, push, 1:]
+        known = np.concatenate([targets[:, None], drawn["targets"]], axis=1)
+        drawn["targets"] = known[:, :-1]
+        return known[np.arange(len(known)), drawn["motors"][:, 1].astype(int)]
 
     def command(self, state: State) -> np.ndarray:
         """Return commands: velocity ahead, to the left [m/s], yaw rate [rad/s]; shape (n, 3)."""
@@ -489,14 +478,13 @@ class Go1Velocity(Task):
             new = np.array(math.nan)
         if new.shape not in ((3,), (len(state.userdata), 3)) or not np.isfinite(new).all():
             raise InputError(f"a command must be three finite numbers, not {shown(command)}")
-        table = np.zeros((len(state.userdata), _COMMANDS, 4))  # the first steps are 0
-        table[:, :, 1:] = new.reshape(-1, 1, 3)
-        state.userdata[:, _COMMAND] = table.reshape(len(table), -1)
+        table = self.drawn(state)["commands"]
+        table[:, :, 0], table[:, :, 1:] = 0.0, new.reshape(-1, 1, 3)
         state.found.clear()
 
     def _command(self, state: State) -> np.ndarray:
-        table = state.userdata[:, _COMMAND].reshape(-1, _COMMANDS, 4)
-        begun = table[:, :, 0] <= state.userdata[:, _STEP, None]
+        drawn = self.drawn(state)
+        table, begun = drawn["commands"], drawn["commands"][:, :, 0] <= drawn["step"][:, None]
         return table[np.arange(len(table)), begun.sum(axis=1) - 1, 1:]
 
     def _trot(self, state: State) -> np.ndarray:
@@ -513,18 +501,20 @@ class Go1Velocity(Task):
         return self.once(state, "clock", self._find_clock)
 
     def _find_clock(self, state: State) -> np.ndarray:
-        angles = 2 * math.pi * self.gait.rate * self.dt * state.userdata[:, _STEP]
+        angles = 2 * math.pi * self.gait.rate * self.dt * self.drawn(state)["step"]
         clock = np.array([(math.sin(angle), math.cos(angle)) for angle in angles.tolist()])
         walks = np.square(self.command(state)).sum(axis=1) > 0.0
         return np.where(walks[:, None], clock, 0.0)
 
     def observe(self, state: State) -> np.ndarray:
-        sensed, past = self.once(state, "sensed", self._sense), state.userdata[:, self._rows.past]
-        return np.concatenate([sensed, self.command(state), self._clock(state), past], axis=1)
+        sensed, past = self.once(state, "sensed", self._sense), self.drawn(state)["past"]
+        seen = [sensed, self.command(state), self._clock(state), *past.transpose(1, 0, 2)]
+        return np.concatenate(seen, axis=1)
 
     def _sense(self, state: State) -> np.ndarray:
         """Return what the robot measures, and its last action, shape (n, sensed)."""
-        sine, cosine = state.userdata[:, _SLOPE].T
+        drawn = self.drawn(state)
+        sine, cosine = drawn["slope"].T
         gravity = (-sine, np.zeros(len(sine)), -cosine)
         return np.concatenate(
             [
@@ -532,7 +522,7 @@ class Go1Velocity(Task):
                 state.qvel[:, 3:6],
                 state.qpos[:, self._angles] - self._stance,
                 state.qvel[:, self._angles - 1],  # a free joint has a number less there
-                state.userdata[:, self._rows.action],
+                drawn["action"],
             ],
             axis=1,
         )
@@ -552,7 +542,7 @@ class Go1Velocity(Task):
         height = self.once(state, "heights", self._heights)
         lift = self.gait.swing * self._clock(state)[:, :1] * self._pairs
         stray = np.where(lift > 1e-9, height - lift, np.maximum(height, 0.0))
-        change = state.userdata[:, self._rows.action] - last
+        change = self.drawn(state)["action"] - last
         slip = np.where(height < 0.0, np.square(speed), 0.0)
         linear = command * [1.0, 1.0, 0.0] - velocity
         yaw = turning[:, 2] - command[:, 2]
@@ -587,11 +577,10 @@ class Go1Velocity(Task):
     def reset_info(self, state: State) -> dict[str, np.ndarray]:
         info = super().reset_info(state)
         if self.privileged:
-            drawn = (state.strength, state.density, state.slope)
-            motors = state.userdata[:, [_STRENGTH, _DELAY]]
+            sand = np.stack((state.strength, state.density, state.slope), axis=1)
             heights = self.once(state, "heights", self._heights)
-            known = (self.velocity(state), heights, info["sand/force"])
-            info["privileged"] = np.concatenate([*known, np.stack(drawn, axis=1), motors], axis=1)
+            known = (self.velocity(state), heights, info["sand/force"], sand)
+            info["privileged"] = np.concatenate([*known, self.drawn(state)["motors"]], axis=1)
         return info
 
     def place(self, state: State) -> dict[str, np.ndarray]:

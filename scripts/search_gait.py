@@ -11,11 +11,13 @@ from __future__ import annotations
 import argparse
 import itertools
 import math
+from typing import Any
 
 import numpy as np
 
+from mjgranular.envs.gaits import gait
 from mjgranular.errors import GranularError, InputError
-from mjgranular.learn.agents import make_gait
+from mjgranular.learn.agents import Baseline
 from mjgranular.learn.evaluate import AT_ONCE, parse_variant, run_episodes
 
 SEED = 20_000  # evaluations use others
@@ -42,7 +44,16 @@ def main() -> None:
         axes = [np.linspace(low, high, levels).tolist() for low, high in bounds.values()]
         points = [dict(zip(bounds, point, strict=True)) for point in itertools.product(*axes)]
         blocks = iter([points[first : first + AT_ONCE] for first in range(0, len(points), AT_ONCE)])
-        agent = lambda env: make_gait(options.env, env, next(blocks))  # noqa: E731
+
+        def agent(env: Any) -> Baseline:
+            task: Any = env.unwrapped.task
+            scripts = [gait(task, **point) for point in next(blocks)]
+            return Baseline(
+                lambda steps: np.array(
+                    [script(t) for script, t in zip(scripts, steps * task.dt, strict=True)]
+                )
+            )
+
         found = run_episodes(options.env, arguments, agent, [SEED] * len(points))
         values = {"return": found.returns, **found.figures}
         if options.by not in values:

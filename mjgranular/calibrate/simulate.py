@@ -2,7 +2,7 @@
 
 import math
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
 from itertools import pairwise
 from pathlib import Path
@@ -167,28 +167,21 @@ def simulate_with(
 def _simulator_of(run: Run, way: str, timestep: float) -> Simulator:
     spec = load_machine(run.body) if isinstance(run.body, Path) else run.body.spec()
     hinges = [joint for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_HINGE]
-    chosen: Scheme | str = "implicit"
-    if way == "drop":
-        spec.option.timestep = timestep
-        for joint in hinges if run.guided else ():
-            joint.armature = _HEAVY
-    elif way in ("push", "press"):
-        spec.option.timestep = timestep
-        for joint in spec.joints:
-            joint.armature = _PUSHED
-    elif way == "sink":
-        spec.option.timestep = _ROLL_STEP
-        for name in ("x", "y", "turn"):
-            spec.joint(name).armature = _HEAVY_BODY
-    elif way == "walk":
-        chosen = "auto"
-        spec.option.timestep = _WALK_STEP
-        for joint in hinges:
-            if joint.name != "pitch":
-                joint.armature = _HEAVY_BODY
-    else:
-        chosen = Explicit(prescribed=True)
-    return Simulator(spec.compile(), chosen)
+    legs = [joint for joint in hinges if joint.name != "pitch"]
+    driven = [joint for joint in spec.joints if joint.name in ("x", "y", "turn")]
+    # The scheme, the time step, and joints that keep their speed, with their inertia.
+    ways: dict[str, tuple[Scheme | str, float, Sequence[mujoco.MjsJoint], float]] = {
+        "drop": ("implicit", timestep, hinges if run.guided else (), _HEAVY),
+        "push": ("implicit", timestep, spec.joints, _PUSHED),
+        "press": ("implicit", timestep, spec.joints, _PUSHED),
+        "sink": ("implicit", _ROLL_STEP, driven, _HEAVY_BODY),
+        "walk": ("auto", _WALK_STEP, legs, _HEAVY_BODY),
+        "place": (Explicit(prescribed=True), spec.option.timestep, (), 0.0),
+    }
+    scheme, spec.option.timestep, joints, inertia = ways[way]
+    for joint in joints:
+        joint.armature = inertia
+    return Simulator(spec.compile(), scheme)
 
 
 def _drop(run: Run, simulator: Simulator) -> Motion:

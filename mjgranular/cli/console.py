@@ -45,6 +45,14 @@ def print_json(content: Any) -> None:
     sys.stdout.write("\n")
 
 
+def print_result(content: Any, show: Callable[[], object], *, json: bool) -> None:
+    """Print a result as JSON, or else by `show`."""
+    if json:
+        print_json(content)
+    else:
+        show()
+
+
 def _with_words(value: Any) -> Any:
     if isinstance(value, dict):
         return {name: _with_words(each) for name, each in value.items()}

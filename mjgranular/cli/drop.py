@@ -1,13 +1,14 @@
 """`mjgranular drop`: your own model on sand."""
 
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
 from mjgranular._util.result_folder import ResultFolder
-from mjgranular.cli.console import note, out, print_json, progress_bar, table
+from mjgranular.cli.console import note, out, print_result, progress_bar, table
 from mjgranular.cli.options import FilmOptions, collected, options_of, write_film
 from mjgranular.errors import GranularError
 from mjgranular.experiment.drop import Drop, DropResult, load, run_drop
@@ -43,10 +44,7 @@ class DropCommand(FilmOptions, options_of(Drop, without=("model",))):
                 result = run_drop(drop, progress=progress)
             if folder is not None:
                 write_run(folder, result)
-            if self.json:
-                print_json(result.summary())
-            else:
-                _show(result)
+            print_result(result.summary(), partial(_show, result), json=self.json)
             if folder is not None:
                 with collected(problems):
                     _draw(folder, result)

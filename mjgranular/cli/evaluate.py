@@ -10,7 +10,7 @@ import tyro
 from rich.table import Table
 
 from mjgranular._util.checks import check_name, require
-from mjgranular.cli.console import out, print_json, progress_bar, table
+from mjgranular.cli.console import out, print_result, progress_bar, table
 from mjgranular.cli.options import Flag
 from mjgranular.errors import InputError, OutputError, UnknownNameError
 from mjgranular.learn import environments
@@ -80,10 +80,8 @@ class EvaluateCommand:
                 show(done, f"{actor.name} {variant}")
                 what = actor.name, actor.make, actor.environment, actor.arguments
                 scores.append(evaluate(*what, variant=variant, **seeds))
-        if self.json:
-            print_json([score.as_json() for score in scores])
-        else:
-            out.print(table_of(scores, self.seeds))
+        content = [score.as_json() for score in scores]
+        print_result(content, lambda: out.print(table_of(scores, self.seeds)), json=self.json)
         return 0
 
     def _jobs(self) -> list[tuple[Actor, str]]:

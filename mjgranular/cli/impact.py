@@ -1,12 +1,13 @@
 """`mjgranular impact`: one drop of the link or of another body."""
 
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Any
 
 from rich.table import Table
 
 from mjgranular._util.result_folder import ResultFolder
-from mjgranular.cli.console import note, out, print_json, progress_bar
+from mjgranular.cli.console import note, out, print_result, progress_bar
 from mjgranular.cli.options import FilmOptions, collected, options_of, write_film
 from mjgranular.errors import GranularError, InputError
 from mjgranular.experiment import Impact, ImpactResult, run_impact
@@ -41,10 +42,7 @@ class ImpactCommand(FilmOptions, options_of(Impact)):
                 result = run_impact(impact, progress=progress)
             if folder is not None:
                 write_run(folder, result)
-            if self.json:
-                print_json(result.summary())
-            else:
-                _show(result)
+            print_result(result.summary(), partial(_show, result), json=self.json)
             problems = [] if folder is None else _draw(folder, result, film)
             if folder is not None and not problems:
                 folder.finish()

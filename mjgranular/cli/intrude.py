@@ -2,10 +2,11 @@
 
 import csv
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 
 from mjgranular._util.result_folder import CONFIG, SUMMARY
-from mjgranular.cli.console import note, out, print_json, table
+from mjgranular.cli.console import note, out, print_result, table
 from mjgranular.cli.options import OutputOptions, collected, options_of
 from mjgranular.errors import GranularError
 from mjgranular.experiment.intrusion import Intrusion, IntrusionResult, run_intrusion
@@ -34,10 +35,7 @@ class IntrudeCommand(OutputOptions, options_of(Intrusion)):
                 config = {**asdict(intrusion), "law": result.law}
                 with folder.published("intrude", config, result.rows()):
                     folder.write(_CSV, lambda path: _write_csv(path, result))
-            if self.json:
-                print_json(result.rows())
-            else:
-                self._show(result)
+            print_result(result.rows(), partial(self._show, result), json=self.json)
             if folder is not None:
                 title = f"{intrusion.title}, {self.medium}, {result.law} law"
                 drawn = (result.depth, result.force, result.moment)

@@ -2,6 +2,7 @@
 
 import inspect
 from dataclasses import MISSING, asdict, dataclass, fields
+from functools import partial
 from typing import Annotated, Any, Literal
 
 import tyro
@@ -10,7 +11,7 @@ from rich.markdown import Markdown
 from mjgranular._util.checks import check_name
 from mjgranular._util.io import read_json
 from mjgranular._util.result_folder import CONFIG
-from mjgranular.cli.console import out, print_json, table
+from mjgranular.cli.console import out, print_result, table
 from mjgranular.cli.options import Flag, law_named
 from mjgranular.errors import UnknownNameError
 from mjgranular.law import Law, check_constants, law_in, laws
@@ -46,10 +47,7 @@ class ListCommand:
         }
         every, one = kinds[self.what]
         value, shown = every() if self.name is None else one(self.name)
-        if self.json:
-            print_json(value)
-        else:
-            out.print(shown)
+        print_result(value, partial(out.print, shown), json=self.json)
         return 0
 
 

@@ -44,8 +44,8 @@ _shapes = records(SHAPE_DTYPE)
 _bytes = records(np.dtype(np.uint8))
 _state_sizes = field("mjModel", "plugin_statenum")
 _fail = c_function(FAIL, "void", "int64")
-_unprepared = c_function(UNPREPARED, "void", "int64", "int64")
-_forget = c_function(FORGET, "void", "int64")
+_unprepared = c_function(UNPREPARED, "void", "int64", "int64", "int32", "int32")
+_forget = c_function(FORGET, "void", "int64", "int32")
 
 
 @compiled
@@ -220,7 +220,7 @@ def add_wrenches(table, qfrc, awake, sign):
 @compiled
 def destroy(data, instance):
     """Free the block of an instance: MuJoCo frees the `mjData`."""
-    _forget(data)
+    _forget(data, instance)
     number = find_row(data, instance)
     if number == 0:
         return
@@ -271,7 +271,7 @@ def compute(model, data, instance, capability):
     """Add the forces of the sand to the passive forces, or update force sensors."""
     block = find_block(data, instance)
     if block == 0:
-        _unprepared(model, data)
+        _unprepared(model, data, instance, capability)
         return
     header = header_at(block)
     if header.refused != 0:

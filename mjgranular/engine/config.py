@@ -43,6 +43,7 @@ MEASURES = {"force": 3, "moment": 3, "depth": 1, "power": 1, "speed": 1, "touch"
 """Its measures, with the number of their values."""
 
 _CHOICES = ("bodies", "geoms", "groups")  # of what meets the sand
+_NAMES = ("bodies", "geoms", "instead_of")  # names of what is in the model
 
 LONGEST = 100_000
 """Maximum length of a value in characters; chosen: the names of some thousand bodies."""
@@ -72,11 +73,9 @@ def read_config(texts: Mapping[str, str]) -> Config:
         "medium": get_medium,
         "surface": surface_of,
         "scheme": get_scheme,
-        "bodies": split_words,
-        "geoms": split_words,
+        **dict.fromkeys(_NAMES, split_words),
         "groups": lambda text: [read_value(word, int, "a group") for word in split_words(text)],
         "resolution": _read_resolution,
-        "instead_of": split_words,
         "memory": as_memory,
         "draw": _read_draw,
         "tunable": lambda text: read_value(text, bool, "tunable"),
@@ -110,11 +109,9 @@ def write_config(
             surface_of(surface), surfaces, "surface", "surfaces.add"
         ),
         "scheme": lambda scheme: _write_part(scheme, schemes, "scheme", "schemes.add"),
-        "bodies": lambda bodies: _write_words(names_in(bodies)),
-        "geoms": lambda geoms: _write_words(names_in(geoms)),
+        **dict.fromkeys(_NAMES, lambda names: _write_words(names_in(names))),
         "groups": lambda groups: _write_words(np.atleast_1d(groups).tolist()),
         "resolution": str,
-        "instead_of": lambda geoms: _write_words(names_in(geoms)),
         "memory": _write_memory,
         "draw": lambda draw: _write_words(split_words(draw) if isinstance(draw, str) else draw),
         "tunable": lambda _: "true",

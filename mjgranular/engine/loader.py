@@ -48,15 +48,16 @@ _PREFIXES = (
 _SWITCHES = list(fields_of("mjOption"))
 _SWITCHES = _SWITCHES[_SWITCHES.index("integrator") :]  # solver, Jacobian, flags
 _NO_CONTACTS = int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
-_SENSORS = ("sensor_plugin", "sensor_objtype", "sensor_objid", "sensor_reftype", "sensor_adr")
-_SITES = ("site_bodyid", "site_type", "site_size")
+_SENSORS = (
+    "sensor_plugin", "sensor_objtype", "sensor_objid", "sensor_reftype", "sensor_adr",
+    "site_bodyid",
+)  # fmt: skip
 _NAMES = (
-    "qpos0", "plugin", *_SENSORS, *_SITES, "sensor_type", "sensor_needstage", "names",
+    "qpos0", "plugin", *_SENSORS, "sensor_type", "sensor_needstage", "names",
     "skin_matid", "skin_rgba",
 )  # fmt: skip
 _NO_MATTER = (
     "hfield_data", "geom_rgba", "geom_user", "geom_matid", "body_user", "plugin", *_SENSORS,
-    *_SITES,
 )  # fmt: skip
 
 
@@ -220,10 +221,9 @@ def _arrays(sizes: bytes) -> dict[str, tuple[int, int]]:
 
 
 def _array(model: int, name: str) -> np.ndarray:
-    """Return a copy of an array of numbers of a model."""
+    """Return a copy of an array of integers of a model."""
     offset, size = _arrays(_sizes(model))[name]
-    kind = np.float64 if name == "site_size" else np.int32
-    return np.frombuffer(ctypes.string_at(_pointer(model + offset), size), kind)
+    return np.frombuffer(ctypes.string_at(_pointer(model + offset), size), np.int32)
 
 
 def _write(model: int, name: str, places: Sequence[int], value: int) -> bool:

@@ -8,7 +8,7 @@ first model with sand adds compiled functions. Without one, the import costs alm
 import ctypes
 import logging
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -55,7 +55,7 @@ class PluginStruct(ctypes.Structure):
     )
 
 
-def _count_nothing(model: int, instance: int, place: int) -> None:
+def _count_nothing(model: int, data: int, instance: int, place: int) -> None:
     """Write no number: MuJoCo reads 0."""
 
 
@@ -67,8 +67,8 @@ class Plugin:
     keys: tuple[str, ...]
     capability: int
     stage: int = 0
-    count_state: Callable[[int, int, int], None] = _count_nothing
-    count_values: Callable[[int, int, int], None] = _count_nothing
+    count_state: trampolines.Asked = _count_nothing
+    count_values: trampolines.Asked = _count_nothing
 
 
 class Engine:
@@ -212,7 +212,7 @@ def _check_struct(lib: ctypes.CDLL) -> None:
         raise LayoutError.of("mjpPlugin")
 
 
-def _count_state(model: int, instance: int, place: int) -> None:
+def _count_state(model: int, data: int, instance: int, place: int) -> None:
     """Write the number of values of an instance of sand in MuJoCo's state.
 
     It is 0 for a configuration that cannot be parsed; preparing the sand reports the error.
@@ -226,7 +226,7 @@ def _count_state(model: int, instance: int, place: int) -> None:
     ctypes.c_int64.from_address(place).value = size
 
 
-def _count_values(model: int, instance: int, place: int) -> None:
+def _count_values(model: int, data: int, instance: int, place: int) -> None:
     """Write the number of values of an instance of the sensor; preparing it reports errors."""
     measure = config_texts(model, instance, config.SENSOR_KEYS)["measure"]
     ctypes.c_int64.from_address(place).value = config.MEASURES.get(measure, 1)

@@ -18,18 +18,11 @@ from mjgranular.engine.instances import instance_of
 from mjgranular.engine.trampolines import UNPREPARED
 from mjgranular.errors import InputError, UnknownNameError, listed
 from mjgranular.kernel.compiled import compiled, entry
+from mjgranular.kernel.engine import is_inside_site
 from mjgranular.kernel.intrinsics import c_function
-from mjgranular.kernel.memory import NBODY, field, floats, ints, longs, records, row_of, table_at
+from mjgranular.kernel.memory import NBODY, field, floats, ints, longs, records, table_at
 from mjgranular.kernel.records import bodies_of, contacts_of
-from mjgranular.kernel.vector import (
-    dot,
-    norm,
-    read_matrix,
-    read_vector,
-    transposed,
-    vector,
-    write_vector,
-)
+from mjgranular.kernel.vector import dot, norm, read_vector, vector, write_vector
 
 FORCE, MOMENT, DEPTH, POWER, SPEED, TOUCH = range(len(MEASURES))
 
@@ -41,24 +34,17 @@ READING_DTYPE = np.dtype(
         ("at", np.int64),  # index of its first value in `sensordata`
         ("geom", np.int64),  # only elements of this geom count, -1 for all
         ("site", np.int64),  # only elements inside this site count, -1 for anywhere
-        ("kind", np.int64),  # of that site
-        ("size", np.float64, (3,)),  # of that site [m]
     ]
 )
 
 _readings = records(READING_DTYPE)
-_unprepared = c_function(UNPREPARED, "void", "int64", "int64")
+_unprepared = c_function(UNPREPARED, "void", "int64", "int64", "int32", "int32")
 _values = field("mjData", "sensordata")
-_positions, _orientations = field("mjData", "site_xpos"), field("mjData", "site_xmat")
 
 _BEGIN, _STRIDE = HEADER_DTYPE.itemsize, READING_DTYPE.itemsize
 _UNKNOWN = int(mujoco.mjtObj.mjOBJ_UNKNOWN)
 _BODIES = (int(mujoco.mjtObj.mjOBJ_BODY), int(mujoco.mjtObj.mjOBJ_XBODY))
 _GEOM, _SITE = int(mujoco.mjtObj.mjOBJ_GEOM), int(mujoco.mjtObj.mjOBJ_SITE)
-_SPHERE = int(mujoco.mjtGeom.mjGEOM_SPHERE)
-_CAPSULE = int(mujoco.mjtGeom.mjGEOM_CAPSULE)
-_ELLIPSOID = int(mujoco.mjtGeom.mjGEOM_ELLIPSOID)
-_CYLINDER = int(mujoco.mjtGeom.mjGEOM_CYLINDER)
 
 
 def find_sand(name: str, sands: Mapping[str, int]) -> int:
@@ -98,8 +84,7 @@ def make_readings(
             row["geom"] = object
         elif objtype == _SITE and kind == TOUCH:
             row["slot"] = _place("body", int(array("site_bodyid")[object]), bodies)
-            row["site"], row["kind"] = object, array("site_type")[object]
-            row["size"] = array("site_size")[3 * object : 3 * object + 3]
+            row["site"] = object
         elif objtype != _UNKNOWN:
             others = "body, geom or site" if kind == TOUCH else "body"
             raise InputError(f"objtype must be {others}; omit it for all bodies together")
@@ -153,26 +138,7 @@ def measure_sand(block, measure, slot, values):
 
 
 @compiled
-def is_inside(kind, size, point):
-    """Return True if a point in the frame of a site is inside its volume.
-
-    The kind of the site is sphere, capsule, ellipsoid, cylinder, else box; its size is 3 numbers.
-    """
-    x, y, z = point.x, point.y, point.z
-    if kind == _SPHERE:
-        return x * x + y * y + z * z <= size[0] * size[0]
-    if kind == _CAPSULE:
-        beyond = max(abs(z) - size[1], 0.0)
-        return x * x + y * y + beyond * beyond <= size[0] * size[0]
-    if kind == _ELLIPSOID:
-        return (x / size[0]) ** 2 + (y / size[1]) ** 2 + (z / size[2]) ** 2 <= 1.0
-    if kind == _CYLINDER:
-        return x * x + y * y <= size[0] * size[0] and abs(z) <= size[1]
-    return abs(x) <= size[0] and abs(y) <= size[1] and abs(z) <= size[2]
-
-
-@compiled
-def touch(data, block, row):
+def touch(model, data, block, row):
     """Return the sum of the magnitudes of forces [N] for a row of `READING_DTYPE`.
 
     As MuJoCo's touch sensor sums the normal forces of contacts, this sums the forces on elements of
@@ -182,17 +148,13 @@ def touch(data, block, row):
     table = table_at(header.table)
     contacts = contacts_of(table)
     slots, geoms = longs(header.slots, len(contacts)), longs(header.geoms, len(contacts))
-    number = max(row.site, 0)
-    place = read_vector(row_of(_positions(data), number, 3), 0)
-    turn = transposed(read_matrix(row_of(_orientations(data), number, 9), 0))
     total = 0.0
     for i in range(len(contacts)):
         contact = contacts[i]
         mine = row.slot < 0 or row.slot == slots[i]
         mine = mine and (row.geom < 0 or row.geom == geoms[i]) and contact.depth > 0.0
         if mine and row.site >= 0:
-            point = read_vector(contact.point, 0)
-            mine = is_inside(row.kind, row.size, turn @ (point - place))
+            mine = is_inside_site(model, data, row.site, contact.point.ctypes.data) != 0
         if mine:
             total += norm(read_vector(contact.force, 0))
     return total
@@ -211,7 +173,7 @@ def compute_sensors(model, data, instance, capability):
     """Compute the values of an instance: `compute` of the plugin."""
     block = find_block(data, instance)
     if block == 0:
-        _unprepared(model, data)
+        _unprepared(model, data, instance, capability)
         return
     if header_at(block).size == 0:
         return
@@ -223,7 +185,7 @@ def compute_sensors(model, data, instance, capability):
             size = 3 if row.measure in (FORCE, MOMENT) else 1
             values = floats(_values(data) + 8 * row.at, size)
             if row.measure == TOUCH:
-                values[0] = touch(data, sand, row)
+                values[0] = touch(model, data, sand, row)
             else:
                 measure_sand(sand, row.measure, row.slot, values)
 

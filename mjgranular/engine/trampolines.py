@@ -30,12 +30,13 @@ FAIL = "mjgranular_fail"
 """Name of `fail(text)`: raise an error of MuJoCo; does not return."""
 
 UNPREPARED = "mjgranular_unprepared"
-"""Name of `unprepared(model, data)`: raise MuJoCo's error, unless unprepared sand is meant."""
+"""Name of the first `compute` of plugins: an error of MuJoCo, unless unprepared sand is meant."""
 
 FORGET = "mjgranular_forget"
-"""Name of `forget(data)`, called when an `mjData` is freed: another may get its address."""
+"""Name of the first `destroy`: when an `mjData` is freed, another may get its address."""
 
-_HAS_FAILED = "mjgranular_has_failed"  # a call of Python, from its result, which is released
+_ASK = "mjgranular_ask"  # calls a function of Python, and returns whether that has failed
+_RESET = "mjgranular_reset"  # the first `reset`: there is nothing to do
 
 pausing = ctypes.c_int64(0)
 """Address of the `mjData` that runs without sand while an interrupt is pending; 0 for none."""
@@ -53,6 +54,8 @@ _PYTHON = (
 FINE, ERROR, INTERRUPT = 1, 2, 3
 """Answers of Python: an error comes with the address of a message. 0 is no answer."""
 
+Asked = Callable[[int, int, int, int], object]
+
 Answer = ctypes.c_int64 * 2
 """Answer of Python at the address that it gets: one of these, and its message."""
 
@@ -68,7 +71,7 @@ define void @mjgranular_fail(i64 %text) {
   ret void
 }
 
-define void @mjgranular_unprepared(ptr %model, i64 %data) {
+define void @mjgranular_unprepared(ptr %model, i64 %data, i32 %instance, i32 %capability) {
   %pausing = load volatile i64, ptr inttoptr (i64 PAUSING to ptr)
   %meant = icmp eq i64 %pausing, %data
   %place = getelementptr i8, ptr %model, i64 DISABLED
@@ -84,12 +87,7 @@ leave:
   ret void
 }
 
-define void @mjgranular_compute(ptr %model, i64 %data, i32 %instance, i32 %capability) {
-  call void @mjgranular_unprepared(ptr %model, i64 %data)
-  ret void
-}
-
-define void @mjgranular_forget(i64 %data) {
+define void @mjgranular_forget(i64 %data, i32 %instance) {
   %pausing = load volatile i64, ptr inttoptr (i64 PAUSING to ptr)
   %gone = icmp eq i64 %pausing, %data
   br i1 %gone, label %forget, label %leave
@@ -100,57 +98,54 @@ leave:
   ret void
 }
 
-define void @mjgranular_destroy(i64 %data, i32 %instance) {
-  call void @mjgranular_forget(i64 %data)
-  ret void
-}
-
 define void @mjgranular_reset(i64 %model, i64 %state, i64 %handle, i32 %instance) {
   ret void
 }
 
-declare void @Py_DecRef(ptr)
-declare void @PyErr_Clear()
-
-define i1 @mjgranular_has_failed(ptr %result) {
-  %failed = icmp eq ptr %result, null
-  br i1 %failed, label %clear, label %release
-clear:
-  call void @PyErr_Clear()
-  ret i1 true
-release:
-  call void @Py_DecRef(ptr %result)
-  ret i1 false
-}
-"""
-
-_INIT = r"""
 @format = private constant [5 x i8] c"LLiL\00"
-@format_of_place = private constant [2 x i8] c"L\00"
 
 declare i32 @PyGILState_Ensure()
 declare void @PyGILState_Release(i32)
 declare ptr @PyObject_CallFunction(ptr, ptr, ...)
+declare void @Py_DecRef(ptr)
+declare void @PyErr_Clear()
+
+define i1 @mjgranular_ask(ptr %function, i64 %model, i64 %data, i32 %instance, ptr %answer) {
+  store volatile i64 0, ptr %answer
+  %place = ptrtoint ptr %answer to i64
+  %held = call i32 @PyGILState_Ensure()
+  %made = call ptr (ptr, ptr, ...) @PyObject_CallFunction(
+    ptr %function, ptr @format, i64 %model, i64 %data, i32 %instance, i64 %place)
+  %failed = icmp eq ptr %made, null
+  br i1 %failed, label %clear, label %release
+clear:
+  call void @PyErr_Clear()
+  br label %leave
+release:
+  call void @Py_DecRef(ptr %made)
+  br label %leave
+leave:
+  call void @PyGILState_Release(i32 %held)
+  ret i1 %failed
+}
+"""
+
+_INIT = r"""
 declare void @PyErr_SetInterrupt()
 declare i64 @PyThread_get_thread_ident()
 declare void @mjgranular_fail(i64)
-declare i1 @mjgranular_has_failed(ptr)
+declare i1 @mjgranular_ask(ptr, i64, i64, i32, ptr)
 
 define i32 @NAME_init(i64 %model, i64 %data, i32 %instance) {
   %answer = alloca [2 x i64]
-  store volatile i64 0, ptr %answer
   %second = getelementptr i64, ptr %answer, i64 1
   store volatile i64 0, ptr %second
-  %place = ptrtoint ptr %answer to i64
   %pausing = load volatile i64, ptr inttoptr (i64 PAUSING to ptr)
   %due = icmp eq i64 %pausing, %data
   br i1 %due, label %leave, label %ask
 ask:
-  %held = call i32 @PyGILState_Ensure()
-  %made = call ptr (ptr, ptr, ...) @PyObject_CallFunction(
-    ptr inttoptr (i64 FUNCTION to ptr), ptr @format,
-    i64 %model, i64 %data, i32 %instance, i64 %place)
-  %failed = call i1 @mjgranular_has_failed(ptr %made)
+  %failed = call i1 @mjgranular_ask(
+    ptr inttoptr (i64 FUNCTION to ptr), i64 %model, i64 %data, i32 %instance, ptr %answer)
   %said = load volatile i64, ptr %answer
   %with = load volatile i64, ptr %second
   %thread = call i64 @PyThread_get_thread_ident()
@@ -162,9 +157,8 @@ ask:
 silent:
   br i1 %main, label %again, label %done
 again:
-  %noticed = call ptr (ptr, ptr, ...) @PyObject_CallFunction(
-    ptr inttoptr (i64 NOTICE to ptr), ptr @format_of_place, i64 %place)
-  %failed_again = call i1 @mjgranular_has_failed(ptr %noticed)
+  %failed_again = call i1 @mjgranular_ask(
+    ptr inttoptr (i64 NOTICE to ptr), i64 %model, i64 %data, i32 %instance, ptr %answer)
   %then = load volatile i64, ptr %answer
   %notice = icmp eq i64 %then, INTERRUPT
   br i1 %notice, label %interrupted, label %signal
@@ -175,7 +169,6 @@ signal:
   call void @PyErr_SetInterrupt()
   br label %done
 done:
-  call void @PyGILState_Release(i32 %held)
   %error = icmp eq i64 %said, ERROR
   br i1 %error, label %raise, label %leave
 raise:
@@ -187,22 +180,15 @@ leave:
 """
 
 _COUNT = r"""
-@FIELD_format = private constant [4 x i8] c"LiL\00"
-
 define i32 @NAME_FIELD(i64 %model, i32 %instanceMORE) {
   %answer = alloca i64
-  store volatile i64 0, ptr %answer
-  %place = ptrtoint ptr %answer to i64
-  %held = call i32 @PyGILState_Ensure()
-  %made = call ptr (ptr, ptr, ...) @PyObject_CallFunction(
-    ptr inttoptr (i64 FUNCTION to ptr), ptr @FIELD_format, i64 %model, i32 %instance, i64 %place)
-  %failed = call i1 @mjgranular_has_failed(ptr %made)
+  %failed = call i1 @mjgranular_ask(
+    ptr inttoptr (i64 FUNCTION to ptr), i64 %model, i64 0, i32 %instance, ptr %answer)
   br i1 %failed, label %interrupt, label %leave
 interrupt:
   call void @PyErr_SetInterrupt()
   br label %leave
 leave:
-  call void @PyGILState_Release(i32 %held)
   %number = load volatile i64, ptr %answer
   %size = trunc i64 %number to i32
   ret i32 %size
@@ -231,21 +217,17 @@ def raise_later(error: BaseException) -> None:
     signal.signal(signal.SIGINT, deliver)
 
 
-def _notice(place: int) -> None:
+def _notice(model: int, data: int, instance: int, place: int) -> None:
     """Handle an interrupt because of which Python gave no answer: a signal had arrived before."""
     ctypes.c_int64.from_address(place).value = INTERRUPT
     raise_later(KeyboardInterrupt())
 
 
-def make_trampolines(
-    name: str,
-    init: Callable[[int, int, int, int], object],
-    counts: Mapping[str, Callable[[int, int, int], object]],
-) -> dict[str, int]:
+def make_trampolines(name: str, init: Asked, counts: Mapping[str, Asked]) -> dict[str, int]:
     """Make the functions of a plugin, by the fields of `mjpPlugin`, before any of it is compiled.
 
-    `init(model, data, instance, answer)` writes at the address `answer` (`Answer`). For `nstate`
-    and `nsensordata`, `count(model, instance, place)` writes the number of values at an address.
+    `init(model, data, instance, place)` writes its answer at an address (`Answer`). For `nstate`
+    and `nsensordata`, `count(model, 0, instance, place)` writes the number of values there.
     """
     common, name = _common(), name.replace(".", "_")
     code = _filled(
@@ -283,12 +265,10 @@ def _common() -> dict[str, int]:
         DISABLED=offset_of("mjModel", "opt") + offset_of("mjOption", "disableflags"),
         NO_FORCES=NO_GRAVITY | NO_PASSIVE_FORCES | int(mujoco.mjtDisableBit.mjDSBL_ACTUATION),
     ).replace("[WHY]", _text(_WHY))
-    fields = {f"mjgranular_{field}": field for field in ("compute", "reset", "destroy")}
-    shared = (FAIL, UNPREPARED, FORGET, _HAS_FAILED)
-    found = load_functions(code, (*fields, *shared))
-    for name in shared:
-        publish(name, found[name])
-    return {field: found[name] for name, field in fields.items()}
+    found = load_functions(code, (FAIL, UNPREPARED, FORGET, _ASK, _RESET))
+    for name, address in found.items():
+        publish(name, address)
+    return {"compute": found[UNPREPARED], "reset": found[_RESET], "destroy": found[FORGET]}
 
 
 def _filled(code: str, **words: object) -> str:

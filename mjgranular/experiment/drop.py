@@ -25,9 +25,9 @@ from mjgranular.errors import (
     warn_user,
 )
 from mjgranular.experiment.ground import PlainSand, hide_replaced, refuse_floors, warn_of_carrying
-from mjgranular.experiment.sampling import REST_WINDOW, Recorder, RestWatch, Sampler
+from mjgranular.experiment.sampling import REST_WINDOW, Recorder, RestWatch
 from mjgranular.models import robot_path
-from mjgranular.render import Tracks
+from mjgranular.render import TrackRecorder, Tracks
 from mjgranular.render.scenery import add_scenery, place_sun
 from mjgranular.sand import Sand
 from mjgranular.sand.prepare import fitted, geoms_in_sand
@@ -231,10 +231,14 @@ def run_drop(drop: Drop, *, progress: Callable[[float], None] | None = None) -> 
         sand = Sand(model, drop.sand)
     data = mujoco.MjData(model)
     _place(drop, model, data, sand)
-    sampler = Sampler(sand, data, drop.duration)
+    tracks = None if sand.memory is None else TrackRecorder(sand, data, drop.duration)
     recorder = Recorder(1 + model.nq + model.nv, keep=2048)
+
+    def sample(time: float) -> None:
+        recorder.take(time, data.qpos, data.qvel, report=sand.report(data).bodies)
+
     recorder.due()
-    sampler.take(0.0, recorder)
+    sample(0.0)
     meter = WorkMeter(sand, data)
     floors = FloorWatch(model, geoms_in_sand(model, drop.sand), drop.surface)
     watch, rest = RestWatch(), None
@@ -247,8 +251,9 @@ def run_drop(drop: Drop, *, progress: Callable[[float], None] | None = None) -> 
         floors.look(data)
         meter.add()
         if recorder.due() or step == total:
-            sampler.take(time, recorder)
-        sampler.look(time, last=step == total)
+            sample(time)
+        if tracks is not None:
+            tracks.look(time, last=step == total)
         if step % check_every == 0:
             rest = watch.since if watch.still(time, points(data)) else None
         if progress is not None and step % _PROGRESS_STEPS == 0:
@@ -275,7 +280,7 @@ def run_drop(drop: Drop, *, progress: Callable[[float], None] | None = None) -> 
         qpos=rows[:, 1 : 1 + model.nq],
         qvel=rows[:, 1 + model.nq :],
         **arrays,
-        prints=sampler.tracks(),
+        prints=None if tracks is None else tracks.prints(),
     )
 
 

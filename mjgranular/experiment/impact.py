@@ -10,7 +10,7 @@ import numpy as np
 
 from mjgranular._util.checks import check_finite, check_kind, kind_of
 from mjgranular.errors import InputError, UnstableError, listed, warn_user
-from mjgranular.experiment.sampling import REST_WINDOW, Recorder, RestWatch, Sampler, StopWatch
+from mjgranular.experiment.sampling import REST_WINDOW, Recorder, RestWatch, StopWatch
 from mjgranular.experiment.trajectory import Trajectory, degrees
 from mjgranular.law import get_law
 from mjgranular.law.link import DistributedLinkLaw, LinkLaw
@@ -18,7 +18,7 @@ from mjgranular.medium import get_medium
 from mjgranular.models import Projectile
 from mjgranular.models.projectile import Shape
 from mjgranular.relief.memory import Memory, as_memory
-from mjgranular.render import Tracks
+from mjgranular.render import TrackRecorder, Tracks
 from mjgranular.sand import Sand, SandSpec
 from mjgranular.sand.work import WorkMeter
 from mjgranular.scheme import get_scheme
@@ -295,7 +295,8 @@ class _Run:
         self.stop: Stop | None = None
         self.rest: Rest | None = None
         self.steps = 0
-        self.sampler = Sampler(self.sand, self.data, _TRACKS_FOR)
+        remembers = self.sand.memory is not None
+        self.tracks = TrackRecorder(self.sand, self.data, _TRACKS_FOR) if remembers else None
         self.meter = WorkMeter(self.sand, self.data)
         self.before_stop = Recorder(7)
         self.after_stop = Recorder(7)
@@ -322,7 +323,7 @@ class _Run:
         for self.steps in range(1, total + 1):
             self.sand.step(self.data)
             self.meter.add()
-            self.sampler.look(self.time)
+            self.look()
             if progress is not None and self.steps % _PROGRESS_STEPS == 0:
                 progress(self.time)
             if self.stop is None:
@@ -339,7 +340,7 @@ class _Run:
                 self.sample(self.after_stop)
                 break
         self.check_energy()
-        self.sampler.look(self.time, last=True)
+        self.look(last=True)
 
     def _follow_tip(self) -> Stop | None:
         """Follow T for a step; return where it stops."""
@@ -365,7 +366,12 @@ class _Run:
 
     def sample(self, recorder: Recorder) -> None:
         self.check_energy()
-        self.sampler.take(self.time, recorder)
+        report = self.sand.report(self.data).bodies
+        recorder.take(self.time, self.data.qpos, self.data.qvel, report=report)
+
+    def look(self, *, last: bool = False) -> None:
+        if self.tracks is not None:
+            self.tracks.look(self.time, last=last)
 
     def _ends(self) -> np.ndarray:
         """Return both ends of the link, x and z of each [m], shape (4,)."""
@@ -407,5 +413,5 @@ class _Run:
             trajectory=Trajectory.from_states(rows, self.link, self.gravity, bodies, self.point),
             steps=self.steps,
             greatest_force=float(max(self.meter.force[0], np.linalg.norm(bodies[-1].force))),
-            prints=self.sampler.tracks(),
+            prints=None if self.tracks is None else self.tracks.prints(),
         )

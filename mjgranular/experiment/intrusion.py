@@ -138,16 +138,15 @@ class IntrusionResult:
 
     def rows(self) -> list[dict[str, Any]]:
         """Return one row per point, in plain numbers."""
-        return [
-            {
-                "travelled": float(self.travelled[i]),
-                "depth": float(self.depth[i]),
-                **{name: float(self.force[i, k]) for k, name in enumerate(_FORCES)},
-                **{f"moment_{axis}": float(self.moment[i, k]) for k, axis in enumerate("xyz")},
-                "valid": bool(self.valid[i]),
-            }
-            for i in range(len(self.depth))
-        ]
+        columns = {
+            "travelled": self.travelled,
+            "depth": self.depth,
+            **dict(zip(_FORCES, self.force.T, strict=True)),
+            **{f"moment_{axis}": values for axis, values in zip("xyz", self.moment.T, strict=True)},
+            "valid": self.valid,
+        }
+        rows = zip(*(values.tolist() for values in columns.values()), strict=True)
+        return [dict(zip(columns, row, strict=True)) for row in rows]
 
     def row(self) -> dict[str, Any]:
         """Return one row: force at the end of the path, the greatest resistance, and the work."""

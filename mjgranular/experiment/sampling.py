@@ -3,11 +3,7 @@
 from collections import deque
 from typing import Any
 
-import mujoco
 import numpy as np
-
-from mjgranular.render import TrackRecorder, Tracks
-from mjgranular.sand import Sand
 
 _KEEP = 4096  # samples kept at most of each phase; chosen, not measured
 
@@ -49,32 +45,6 @@ class Recorder:
     def rows(self) -> np.ndarray:
         """Return a copy of the samples, shape (n, width)."""
         return self._rows[: self._count].copy()
-
-
-class Sampler:
-    """Samples of the state of a run, of what the sand does then, and its tracks if it remembers.
-
-    That follows from more than positions and velocities: from controls and memory too.
-    """
-
-    def __init__(self, sand: Sand, data: mujoco.MjData, duration: float) -> None:
-        self._sand, self._data = sand, data
-        self._tracks = None if sand.memory is None else TrackRecorder(sand, data, duration)
-        self.look(0.0)
-
-    def take(self, t: float, recorder: Recorder) -> None:
-        """Take a sample at a time [s]: time, `qpos` and `qvel`."""
-        report = self._sand.report(self._data).bodies
-        recorder.take(t, self._data.qpos, self._data.qvel, report=report)
-
-    def look(self, t: float, *, last: bool = False) -> None:
-        """Record the tracks at a time [s], if it is due; call this in every step."""
-        if self._tracks is not None:
-            self._tracks.look(t, last=last)
-
-    def tracks(self) -> Tracks | None:
-        """Return the tracks; None for sand without memory."""
-        return None if self._tracks is None else self._tracks.prints()
 
 
 # Rest: every point stays within this distance for this long, 1 mm/s. Chosen, not measured; the

@@ -2,7 +2,7 @@
 
 import copy
 import importlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Protocol
@@ -42,7 +42,15 @@ def make_baseline(
     environment or several, `gait` has the parameters of the gait that differ from its defaults.
     """
     if name == "gait":
-        return make_gait(env_id, env, gait or {})
+        gaits = importlib.import_module("mjgranular.envs.gaits")
+        task: Any = getattr(env.unwrapped, "task", None)
+        if type(task).__name__ not in gaits.gaits:
+            raise InputError(
+                f"there is no scripted gait for {env_id}; there are some for "
+                f"{', '.join(f'mjgranular/{name}-v0' for name in gaits.gaits)}"
+            )
+        script = gaits.gait(task, **(gait or {}))
+        return Baseline(lambda steps: np.array([script(time) for time in steps * task.dt]))
     space = getattr(env, "single_action_space", None) or env.action_space
     if name == "random":
         return Baseline(partial(_sample, env, space, []))
@@ -59,25 +67,3 @@ def _sample(env: Any, space: Any, own: list[Any], steps: np.ndarray) -> np.ndarr
         own.append(copy.deepcopy(space))
         own[-1].seed(first + len(own) - 1)
     return np.array([each.sample() for each in own])
-
-
-def make_gait(
-    env_id: str, env: Any, parameters: Mapping[str, float] | Sequence[Mapping[str, float]]
-) -> Agent:
-    """Return the scripted gait of an environment; of several, with parameters for each."""
-    gaits = importlib.import_module("mjgranular.envs.gaits")
-    task: Any = getattr(env.unwrapped, "task", None)
-    if type(task).__name__ not in gaits.gaits:
-        raise InputError(
-            f"there is no scripted gait for {env_id}; there are some for "
-            f"{', '.join(f'mjgranular/{name}-v0' for name in gaits.gaits)}"
-        )
-    several = [parameters] if isinstance(parameters, Mapping) else parameters
-    made = [gaits.gait(task, **given) for given in several]
-
-    def choose(steps: np.ndarray) -> np.ndarray:
-        scripts = made * (len(steps) if len(made) == 1 else 1)
-        times = steps * task.dt
-        return np.array([script(float(t)) for script, t in zip(scripts, times, strict=True)])
-
-    return Baseline(choose)

@@ -2,13 +2,13 @@
 
 import importlib
 import inspect
-from collections.abc import Callable, Mapping
-from typing import Any, TypeVar
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
 
 from mjgranular._util.checks import require
 from mjgranular.errors import GranularError, InputError, RenderError
 
-T = TypeVar("T")
 _PURPOSE = "Training and evaluating policies"
 
 
@@ -21,7 +21,8 @@ def find_spec(env_id: str) -> Any:
 def one(env_id: str, arguments: Mapping[str, Any]) -> Any:
     """Return one environment, a `gymnasium.Env`."""
     find_spec(env_id)
-    return _made(env_id, arguments, lambda gym, given: gym.make(env_id, **given))
+    with _making(env_id) as gym:
+        return gym.make(env_id, **arguments)
 
 
 def several(env_id: str, arguments: Mapping[str, Any], *, num_envs: int) -> Any:
@@ -31,7 +32,8 @@ def several(env_id: str, arguments: Mapping[str, Any], *, num_envs: int) -> Any:
     """
     mode = "vector_entry_point" if _has_vector_form(env_id) else "sync"
     options: dict[str, Any] = {"num_envs": num_envs, "vectorization_mode": mode}
-    return _made(env_id, arguments, lambda gym, given: gym.make_vec(env_id, **{**options, **given}))
+    with _making(env_id) as gym:
+        return gym.make_vec(env_id, **{**options, **arguments})
 
 
 def for_training(
@@ -44,17 +46,15 @@ def for_training(
 
     if _has_vector_form(env_id):
         make = importlib.import_module("mjgranular.envs.sb3").make_vec_env
-        return VecMonitor(
-            _made(env_id, arguments, lambda _, given: make(env_id, num_envs, warp=warp, **given))
-        )
+        with _making(env_id):
+            return VecMonitor(make(env_id, num_envs, warp=warp, **arguments))
     if warp is not None:
         raise InputError(
             "MuJoCo Warp steps environments of mjgranular, such as mjgranular/Hopper-v0, in one "
             f"batch, not {env_id}: train with --engine local"
         )
-    return _made(
-        env_id, arguments, lambda _, given: make_vec_env(env_id, num_envs, env_kwargs=given)
-    )
+    with _making(env_id):
+        return make_vec_env(env_id, num_envs, env_kwargs=dict(arguments))
 
 
 def for_filming(
@@ -78,11 +78,12 @@ def _has_vector_form(env_id: str) -> bool:
     return find_spec(env_id).vector_entry_point is not None and ours
 
 
-def _made(env_id: str, arguments: Mapping[str, Any], make: Callable[[Any, dict[str, Any]], T]) -> T:
-    """Call `make(gymnasium, arguments)`; turn errors of the environment into one sentence."""
+@contextmanager
+def _making(env_id: str) -> Iterator[Any]:
+    """Yield Gymnasium; turn errors of an environment that is made into one sentence."""
     gym = require("gymnasium", extra="train", purpose=_PURPOSE)
     try:
-        return make(gym, dict(arguments))
+        yield gym
     except GranularError:
         raise
     except gym.error.DependencyNotInstalled as error:

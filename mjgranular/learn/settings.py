@@ -12,6 +12,7 @@ from mjgranular._util.checks import check_count, check_name, require
 from mjgranular._util.io import fits, place, read_file
 from mjgranular._util.parse import parse_number
 from mjgranular.errors import InputError, MissingExtraError, UnknownNameError, shown
+from mjgranular.medium.file import check_mapping
 
 ALGORITHMS = ("ppo", "sac", "td3")
 ACTIVATIONS = ("tanh", "relu", "elu")
@@ -107,7 +108,7 @@ class Settings:
         if not isinstance(content, Mapping):
             raise InputError("settings must be an object")
         content = {name: value for name, value in content.items() if name != "processes"}  # 0.2
-        _check_keys("settings", content, [entry.name for entry in fields(cls)])
+        check_mapping(content, "settings", [entry.name for entry in fields(cls)])
         missing = [name for name in ("algorithm", "total_steps", "num_envs") if name not in content]
         if missing:
             raise InputError(f"{' and '.join(missing)} must be given")
@@ -138,17 +139,15 @@ def find_settings(
         content = tomllib.loads(read.decode())
     except (ValueError, RecursionError) as error:
         raise InputError(f"{where} is not TOML: {error}") from None
-    _check_keys(where, content, ("algorithm", "environment", *ALGORITHMS))
+    check_mapping(content, where, ("algorithm", "environment", *ALGORITHMS))
     present = [name for name in ALGORITHMS if name in content]
     name = (algorithm or str(content.get("algorithm", ""))).lower()
     if name not in present:
         hint = f"{where} has settings for {', '.join(present)}; --settings FILE.toml names another"
         raise UnknownNameError("algorithm", name, ALGORITHMS, hint)
     table = content[name]
-    if not isinstance(table, dict):
-        raise InputError(f"{where}: {name} must be a table, [{name}]")
     known = {entry.name for entry in fields(Settings)} - {"algorithm", "environment"}
-    _check_keys(f"{where}, [{name}]", table, sorted(known))
+    check_mapping(table, f"{where}, [{name}]", sorted(known))
     environment = content.get("environment", {})
     try:
         return Settings.from_json({**table, "algorithm": name, "environment": environment})
@@ -212,12 +211,6 @@ def linear_start(value: object) -> float | None:
     if isinstance(value, str) and value.startswith(_LINEAR):
         return parse_number(value.removeprefix(_LINEAR))
     return None
-
-
-def _check_keys(where: str, table: Mapping[str, Any], known: Sequence[str]) -> None:
-    for key in table:
-        if key not in known:
-            raise InputError(f"{where}: no key {shown(key)}; there are: {', '.join(known)}")
 
 
 def _check_arguments(algorithm: str, arguments: Mapping[str, Any]) -> None:

@@ -56,7 +56,7 @@ class Tracks:
 
 
 class TrackRecorder:
-    """Record the tracks of a run while it is simulated."""
+    """Record the tracks of a run while it is simulated, from its beginning on."""
 
     def __init__(self, sand: Sand, data: mujoco.MjData, duration: float) -> None:
         assert sand.memory is not None
@@ -65,6 +65,7 @@ class TrackRecorder:
         self._last = np.zeros((2, sand.memory.size**2))  # heights, and keys without labels
         self._t: list[float] = []
         self._changes: list[tuple[np.ndarray, np.ndarray]] = []
+        self.look(0.0)
 
     def look(self, t: float, *, last: bool = False) -> None:
         """Sample the sand if a sample is due."""

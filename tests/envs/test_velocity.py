@@ -16,7 +16,7 @@ import pytest
 from mjgranular import InputError, UnknownNameError
 from mjgranular.envs import SandRanges, SandVectorEnv
 from mjgranular.envs.single import SandEnv
-from mjgranular.envs.velocity import _COMMAND, G1Velocity, Gait, Go1Velocity, Go2Velocity, Motor
+from mjgranular.envs.velocity import G1Velocity, Gait, Go1Velocity, Go2Velocity, Motor
 from mjgranular.experiment.drop import Drop, load
 from mjgranular.models import robot_path
 from mjgranular.models.hexapod import LEGS, Hexapod
@@ -167,14 +167,14 @@ def test_the_first_command_comes_after_a_time_that_is_drawn(times):
     firsts = set()
     for seed in range(12):
         env.reset(seed=seed)
-        firsts.add(env.data.userdata[_COMMAND].reshape(-1, 4)[1, 0])
+        firsts.add(env.task.drawn(env.state)["commands"][0, 1, 0])
     assert shortest <= min(firsts) <= max(firsts) <= longest
     assert len(firsts) == 1 if shortest == longest else len(firsts) > 4
     step = 0
     while not env.task.command(env.state).any():
         env.step(ZERO)
         step += 1
-    assert step == env.data.userdata[_COMMAND].reshape(-1, 4)[1, 0]
+    assert step == env.task.drawn(env.state)["commands"][0, 1, 0]
 
 
 def test_only_the_motors_limit_torques(robots, tmp_path):
@@ -427,7 +427,7 @@ def test_motors_are_drawn_in_strength_and_delay():
             np.testing.assert_array_equal(observation, observations[number])
             np.testing.assert_array_equal(alone["privileged"], info["privileged"][number])
     for number, env in enumerate(singles):
-        full = env.task._motors["actuator_gainprm"][0, 0]
+        full = env.task.model.actuator_gainprm[0, 0]
         assert env.model.actuator_gainprm[0, 0] == pytest.approx(full * strength[number])
 
 
