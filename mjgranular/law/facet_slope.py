@@ -252,12 +252,12 @@ def led_by_differences(stress: Any) -> Any:
         m = m / norm(m)
         w = u
         if facet.slides > 0.0:
-            w = followed(facet, m, u, leads)[0]
+            w, _size, _e, _d = followed(facet, m, u, leads)
         more = 1.0 + facet.cone * dot(w, facet.up) * dot(w, facet.up)
         force = (load * facet.area * more) * stress(law, g, m, w, facet.up)
         if facet.slides > 0.0:
-            force = opposed(force, facet, m, u)[0]
-        if load <= 0.0 or dot(m, u) <= edge_of(eps):
+            force, _share, _slip, _traction, _per, _is_full = opposed(force, facet, m, u)
+        if load <= 0.0 or (leads if facet.slides > 0.0 else dot(m, u)) <= edge_of(eps):
             force = vector(0.0, 0.0, 0.0)
         # The fit describes leading faces; on the ramp it is also evaluated for slightly trailing
         # ones.

@@ -97,7 +97,7 @@ def opposed(force, facet, m, u):
     size, speed = norm(traction), norm(along)
     per = 1.0 / max(speed, facet.slides)
     slip = per * along
-    share, power = facet.rubs, dot(force, u)
+    share, power = 1.0 * facet.rubs, dot(force, u)  # times 1: Warp assigns to no field
     if power > 0.0:
         share = max(share, min(power / (dot(traction, u) + size * speed * speed * per), 1.0))
     force = force - share * (traction + size * slip)
