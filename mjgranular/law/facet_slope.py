@@ -25,7 +25,7 @@ from typing import Any
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.vector import across, cross, diagonal, dot, norm, outer, vector
 from mjgranular.law.patch import immersed_part, immersed_slope, leading_part, leading_slope
-from mjgranular.law.slip import followed, opposed, turned, turned_slope
+from mjgranular.law.slip import followed, opposed, turned_slope
 
 # In the search for the velocity at the end of a step, a flat face begins to lead over directions
 # within this sine of its plane on either side. Chosen: the search needs a slope where the law is
@@ -152,27 +152,17 @@ def led_slope_kernel(slope: Any) -> Any:
         gradient_y = ya * spread_1 + yb * spread_2 - (ya * along_1 + yb * along_2) * u
 
         force, by_p = plate_slope(f, gain * by_rise, by_lead, frame, rise, lead)
-        column = dot(f_sided + al * by_lead + ad * by_down - vector(f.x * an, 0.0, 0.0), frame)
-        column = la_sided * (column + turn * spread_1)
         if facet.slides > 0.0:
-            opposing, moving = opposed(force, facet, m, u), (w, size, e, d)
-            # Changes of the normal, and of `leads`, toward both spreads.
-            m_1, m_2 = scale * spread_1 - an * m, scale * spread_2 - bn * m
-            l_1, l_2 = scale * a - an * leads, scale * b - bn * leads
-            m_x, l_x = la_x * m_1 + lb_x * m_2, la_x * l_1 + lb_x * l_2
-            m_y, l_y = la_y * m_1 + lb_y * m_2, la_y * l_1 + lb_y * l_2
-            column_x = turned(column_x, by_p, force, facet, m, u, leads, m_x, l_x, moving, opposing)
-            column_y = turned(column_y, by_p, force, facet, m, u, leads, m_y, l_y, moving, opposing)
-            m_1, l_1 = la_sided * m_1, la_sided * l_1
-            column = turned(column, by_p, force, facet, m, u, leads, m_1, l_1, moving, opposing)
-            by_p = turned_slope(by_p, force, m, u, moving, opposing)
+            opposing = opposed(force, facet, m, u)
+            by_p = turned_slope(by_p, force, m, u, (w, size, e, d), opposing)
             force = opposing[0]
         by_p = by_p + outer(column_x, per_h * gradient_x) + outer(column_y, per_h * gradient_y)
         if ramp:  # `sided` changes too
+            f_sided = f_sided + al * by_lead + ad * by_down - vector(f.x * an, 0.0, 0.0)
+            column = la_sided * (dot(f_sided, frame) + turn * spread_1)
             sa, sb = s / first, sided * t / first
-            by_p = by_p + outer(
-                column, sa * spread_1 + sb * spread_2 - (sa * along_1 + sb * along_2) * u
-            )
+            gradient = sa * spread_1 + sb * spread_2 - (sa * along_1 + sb * along_2) * u
+            by_p = by_p + outer(column, gradient)
         # Trailing parts may have an undefined stress, even NaN.
         if gain <= 0.0 or leads <= edge_of(eps):
             force, by_p = vector(0.0, 0.0, 0.0), diagonal(0.0)

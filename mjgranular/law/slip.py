@@ -89,8 +89,8 @@ def followed(facet, m, u, leads):
 def opposed(force, facet, m, u):
     """Return a force with a share of its traction turned against the motion u (S8).
 
-    Also what `turned` needs: the share, at least such that no energy is added, the slip, and the
-    direction of the traction; and what the slip is relative to.
+    Also what `turned_slope` needs: the share, at least such that no energy is added, the slip, the
+    direction of the traction, and what the slip is relative to.
     """
     traction = force - dot(force, m) * m
     along = u - dot(u, m) * m
@@ -107,31 +107,11 @@ def opposed(force, facet, m, u):
 
 
 @partial(compiled, inline=True)
-def turned(column, by_p, force, facet, m, u, leads, turn, more, moving, opposing):
-    """Return the change of the force after `opposed` as the normal m turns, and `leads` grows.
-
-    `column` is that of the force before it, for the motion that sand follows as it is.
-    """
-    w, size, e, d = moving
-    _, share, slip, traction, per, is_full = opposing
-    straight = dot(m, u)
-    moves = (more - dot(turn, u)) * m + (leads - straight) * turn
-    moves = moves + (dot(e, turn) * straight + dot(facet.along, m) * dot(turn, u)) * d
-    moves = moves + dot(e, u) * (dot(d, turn) * m + dot(facet.skips, m) * turn)
-    moves = moves - dot(w, moves) * w
-    column = column + (1.0 / size) * (by_p @ moves)
-    along = -dot(turn, u) * m - straight * turn
-    if is_full:
-        along = along - dot(along, slip) * slip
-    across = column - dot(column, m) * m - dot(force, turn) * m - dot(force, m) * turn
-    return column - share * (across + dot(traction, across) * slip + per * along)
-
-
-@partial(compiled, inline=True)
 def turned_slope(by_p, force, m, u, followed, opposing):
     """Return the derivative of |p| S(p / |p|) by p for the force after `opposed`.
 
-    `by_p` is that of the force before it, by the motion that sand follows.
+    `by_p` is that of the force before it, by the motion that sand follows. That all this turns with
+    the part that leads is omitted: a tenth more searches, of which each is cheaper.
     """
     after, share, slip, traction, per, is_full = opposing
     w, size, e, d = followed

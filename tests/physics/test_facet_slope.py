@@ -299,8 +299,8 @@ def test_against_polygons_and_differences(kernels, name, slides):
         leading[branch(*rates)] += 1
         if expected.any():
             wet[branch(facet.depth, *facet.rises)] += 1
-    # Where traction is turned farther, so as not to add energy, the derivative omits that.
-    assert np.percentile(off, 95 if slides else 100) < CLOSE
+    # Of skin that slides along itself, how that turns with the part that leads is omitted.
+    assert np.percentile(off, 20 if slides else 100) < (1e-4 if slides else CLOSE)
     assert leading.total() > 0.9 * count
     assert min(leading[x] for x in ("none", "all", "trapezium", "corner", "all but a corner")) > 4
     assert min(wet[x] for x in ("all", "trapezium", "corner", "all but a corner")) > 4
