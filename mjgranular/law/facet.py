@@ -84,17 +84,18 @@ def facet_kernel(
     toward: Any = None,
     ceiling: Any = None,
     added: bool = False,
+    slips: bool = False,
     raised: Any = not_raised,
 ) -> LawKernel:
     """Make the kernels of a law of surface elements for surfaces with that `probe`.
 
     `slope`, or `stress` if there is none, is that of `RftLaw`; `toward` and `ceiling` are kernels
     of `Surface`. On a plane facets may be sampled side by side. `added` asks for added mass
-    (`facet_added`); `raised` is the factor on static resistance (`law.raised`).
+    (`facet_added`), `slips` for skin that slides along itself (`law.slip`); `raised` is the factor
+    on static resistance (`law.raised`).
 
-    The law's record has `inertia`, lambda rho [kg/m^3], `rise`, 1 if the surface behind a turning
-    body is lowered, and `slip` (`law.slip`); with added mass also `added`, kappa, and `density`,
-    rho.
+    The law's record has `inertia`, lambda rho [kg/m^3], and `rise`, 1 if the surface behind a
+    turning body is lowered; with added mass also `added`, kappa, and `density`, rho; and `slip`.
     """
 
     @partial(compiled, inline=True)
@@ -140,7 +141,7 @@ def facet_kernel(
             depth = middle if below <= 0.0 else depth
         skips, along, rubs = 0.0 * outward, outward, 0.0 * middle
         slides, turn_0, turn_1, turn_2 = rubs, rubs, rubs, rubs
-        if law.slip > 0.0:
+        if slips:
             skips, along, rubs, slides, turn_0, turn_1, turn_2 = hidden_motion(
                 law, facet, pose, centre, s, t, outward, g, RAMP
             )

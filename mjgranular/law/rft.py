@@ -132,5 +132,6 @@ class RftLaw(Law):
             toward=surface.toward_kernel(),
             ceiling=surface.ceiling_kernel(),
             added=self.adds_mass,
+            slips=self.slip > 0,
             raised=self.raised,
         )
