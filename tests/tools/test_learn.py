@@ -508,7 +508,7 @@ def test_settings_are_changed_by_name():
         ("algorithm = 'dqn'\n[ppo]\ntotal_steps = 3\nnum_envs = 1", "no algorithm 'dqn'"),
         ("algorithm = 'sac'\n[ppo]\ntotal_steps = 3\nnum_envs = 1", "has settings for ppo"),
         ("algorithm = ", "is not TOML"),
-        ("algorithm = 'ppo'\nppo = 3", "must be a table"),
+        ("algorithm = 'ppo'\nppo = 3", "must be a mapping"),
         ("algorithm = 'ppo'\n[ppo]\ntotal_steps = 3\nnum_envs = 1\nnet = 'x'", "net must be"),
         (
             "algorithm = 'ppo'\n[ppo]\ntotal_steps = 3\nnum_envs = 1\n[ppo.arguments]\ngama = 1",
