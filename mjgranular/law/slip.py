@@ -13,7 +13,7 @@ from mjgranular.kernel.vector import cross, dot, norm, outer, transposed
 
 SLIP = 2.0
 """tan(theta): sand follows motion at up to 63 degrees to the normal of a skin that slides along
-itself. Chosen: between 1.5 and 3 no error of docs/validity.md changes by more than 0.5 points."""
+itself. Chosen: between 1.5 and 3 no error in docs/laws/rft.md changes by more than 2.3 points."""
 
 # Square of a speed that counts as rest, in units of g times the width; chosen.
 _SLOW = 1e-6
