@@ -49,7 +49,7 @@ BAD_OPTIONS = (
     "model.opt.gravity = [0, np.nan, -9.81]", "model.opt.gravity = [np.inf, 0, 0]",
     "model.opt.tolerance = np.nan", "model.opt.impratio = np.nan", "model.opt.impratio = 0",
     "model.opt.density = np.nan", "model.opt.viscosity = np.inf", "model.opt.integrator = 77",
-    "model.opt.solver = -3", "model.opt.jacobian = 9", "model.opt.cone = 5",
+    "model.opt.solver = -3", "model.opt.jacobian = 9",
 )  # fmt: skip
 """Numbers that no option should have."""
 
