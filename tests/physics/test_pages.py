@@ -16,6 +16,7 @@ from scipy.optimize import brentq
 
 from mjgranular import Memory, Sand
 from mjgranular.shape import rigid
+from mjgranular.shape.tessellation import CORNERS
 
 # f1, f2, f3 of Agarwal, Goldman and Kamrin (2023), by 1, x1, x2, x3, x1^2, x2^2, x3^2, x1 x2,
 # x2 x3, x3 x1, x1^3, x2^3, x3^3, x1 x2^2, x2 x1^2, x2 x3^2, x3 x2^2, x3 x1^2, x1 x3^2, x1 x2 x3.
@@ -308,7 +309,7 @@ def test_the_froude_number_is_by_the_widest_face_of_the_body():
 
 def test_rays_have_the_weight_on_the_page():
     (power,) = re.findall(r"\\cos\^\{(\d+)\}", (DOCS / "shapes.md").read_text("utf-8"))
-    assert len(rigid.CORNERS) * len(rigid._lobe()) == 32
+    assert len(CORNERS) * len(rigid._lobe()) == 32
     up = np.unique(rigid._lobe()[:, 2].round(12))
     # By solid angle cos^p, of which cos^(p+1) has evenly spread values.
     assert up ** (int(power) + 1) == pytest.approx((np.arange(len(up)) + 0.5) / len(up))
