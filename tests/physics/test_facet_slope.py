@@ -294,13 +294,15 @@ def test_against_polygons_and_differences(kernels, name, slides):
             continue
         slope = -np.array(answer[3:12]).reshape(3, 3)
         size = 1e-12 + float(abs(found).max())
-        off.append(abs(slope - found.astype(float)).max() / size)
         rates = facet.rates(v / np.sqrt(v @ v))
         leading[branch(*rates)] += 1
+        # How the slip turns with the part of a facet that leads is omitted.
+        if not slides or branch(*rates) in ("all", "none"):
+            off.append(abs(slope - found.astype(float)).max() / size)
         if expected.any():
             wet[branch(facet.depth, *facet.rises)] += 1
-    # Of skin that slides along itself, how that turns with the part that leads is omitted.
-    assert np.percentile(off, 20 if slides else 100) < (1e-4 if slides else CLOSE)
+    # Nor how the traction is turned farther, so as not to add energy, which is rare.
+    assert np.percentile(off, 95 if slides else 100) < CLOSE
     assert leading.total() > 0.9 * count
     assert min(leading[x] for x in ("none", "all", "trapezium", "corner", "all but a corner")) > 4
     assert min(wet[x] for x in ("all", "trapezium", "corner", "all but a corner")) > 4
