@@ -8,6 +8,7 @@ differences of velocities.
 import math
 from collections import Counter
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -282,9 +283,7 @@ def test_against_polygons_and_differences(kernels, name, slides):
         assert np.isfinite(answer).all()
         assert answer[12] < 1e-25  # the grip is the velocity's own
 
-        def force(v, facet=facet, eps=eps):
-            return facet.soft(stress, record, v, REAL(eps))
-
+        force = partial(facet.soft, stress, record, eps=REAL(eps))
         v = v.astype(REAL)
         expected = force(v)
         size = 1e-12 + float(abs(expected).max())
