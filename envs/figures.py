@@ -15,7 +15,7 @@ from mjgranular.sand.prepare import geoms_in_sand
 from mjgranular.surface.choice import surface_of
 from mjgranular.surface.place import strength_of_gravity
 
-BAD = [int(bad) for bad in mujoco.mjtWarning.__members__.values() if "BADQ" in bad.name]
+BAD = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN_BADQACC) + 1)
 """Warnings of MuJoCo that a simulation has diverged; most likely it has been reset then."""
 
 
@@ -34,9 +34,11 @@ class Figures:
         self._blocks = readings.together if readings else sensors
         self.gravity = model.opt.gravity.copy()
         limits, self._found = zip(*(_limits_of(model, sand) for sand in sands), strict=True)
-        width, self._froude, self._depth, self._slope = np.array(limits).T
+        self._limits = np.array(limits)
         pull = strength_of_gravity(model)
-        self._per_speed = 1 / np.sqrt(pull * width) if pull else 0 * width  # Froude of 1 m/s
+        width = self._limits[:, 0]
+        self._limits[:, 0] = 1 / np.sqrt(pull * width) if pull else 0 * width  # Froude of 1 m/s
+        self._only = self._limits[0].tolist()  # numbers are faster than arrays
 
     def read(
         self, readings: np.ndarray, active: np.ndarray | int = 0, slope: np.ndarray | float = 0.0
@@ -55,29 +57,28 @@ class Figures:
         block = readings[:, first : first + 6].copy()  # not a view of MuJoCo's array
         for other in others:
             block += readings[:, other : other + 6]
-        sand = active if others else 0
+        per_speed, *most = self._limits[active].T if others else self._only
         depth, speed = block[:, 3], block[:, 5]
-        froude = speed * self._per_speed[sand]
-        valid = (
-            (froude <= self._froude[sand])
-            & (depth <= self._depth[sand])
-            & (np.abs(slope) <= self._slope[sand])
-        )
+        froude = speed * per_speed
+        valid = (froude <= most[0]) & (depth <= most[1]) & (np.abs(slope) <= most[2])
         return {
             "sand/force": block[:, :3],
             "sand/depth": depth,
             "sand/power": block[:, 4],
             "sand/froude": froude,
             "sand/valid": valid,
-            "sand/error": np.where(depth > 0, self._errors(sand, froude), 0.0),
+            "sand/error": self._errors(active, froude) * (depth > 0),
         }
 
     def _errors(self, active: np.ndarray | int, froude: np.ndarray) -> np.ndarray:
         """Return the measured errors at Froude numbers, for the active sand; shape (n,)."""
+        if len(self._found) == 1:
+            bounds, errors = self._found[0]
+            return errors[bounds.searchsorted(froude)]
         error = np.ones(froude.shape)
         for sand, (bounds, errors) in enumerate(self._found):
             mine = np.broadcast_to(np.asarray(active) == sand, froude.shape)
-            error[mine] = errors[np.searchsorted(bounds, froude[mine])]
+            error[mine] = errors[bounds.searchsorted(froude[mine])]
         return error
 
 

@@ -163,7 +163,7 @@ class OnSand(MujocoEnv):
 
     def step(self, action: Any) -> Any:
         observation, reward, terminated, truncated, info = super().step(action)
-        lost = any(self.data.warning[bad].number for bad in BAD)
+        lost = bool(self.data.warning.number[BAD].any())
         info |= self.sand_figures() | {"sand/lost": lost}
         return observation, 0.0 if lost else reward, terminated or lost, truncated, info
 

@@ -56,6 +56,7 @@ class SandEnv(gym.Env[np.ndarray, np.ndarray]):
         self.action_space = self.task.action_space
         self.observation_space = self.task.observation_space
         self.state = self.task.state_of(self.data)
+        self._warned = self.data.warning.number[BAD]  # a view
         self._episodes = 0
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -110,7 +111,7 @@ class SandEnv(gym.Env[np.ndarray, np.ndarray]):
         mujoco.mj_step(self.model, self.data, nstep=task.frame_skip)
         state.found.clear()
         terms = task.rewards(before, action, state)
-        lost = any(self.data.warning[bad].number for bad in BAD)
+        lost = any(self._warned.tolist())
         only_step = task.progress(before, state) | terms | {"sand/lost": np.array([lost])}
         if self.render_mode == "human":
             self.render()

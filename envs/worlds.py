@@ -116,7 +116,7 @@ class Worlds:
         self._read(None)
         finite = [np.isfinite(self._arrays[name]).all(1) for name in ("qpos", "qvel")]
         lost = ~(finite[0] & finite[1])
-        self.warning[:, BAD[0], 1] = lost
+        self.warning[:, BAD.start, 1] = lost
         if lost.any():
             ids, drawn = np.flatnonzero(lost), self._arrays.get("userdata")
             kept = None if drawn is None else drawn[ids]  # what the episode has drawn goes on
