@@ -98,14 +98,16 @@ def facets_from_model(
                 inside = within_others(corners, shells[parents], vertices[faces], shells)
                 seen = ~(inside | hidden_skin(model, data, geom, skin, ordered))
                 corners, parents = corners[seen], parents[seen]
-            facets = patches.single(corners)
-            bent = facets.spread
+            facets, bent, leans = patches.single(corners), 0.0, 0.0
             if is_cut:
-                bends, offsets = patches.bends(vertices, faces)
-                facets, bent = patches.gathered(corners, fine, bends[parents], offsets[parents])
+                bends = (found[parents] for found in patches.bends(vertices, faces))
+                facets, bent, leans = patches.gathered(corners, fine, *bends)
             width = sizes.geom_width(model, geom)
             flat = patches.flatness(facets.points, facets.normals, facets.areas, width)
-            facets.spread[:] += np.maximum(1 - 2 * flat, 0)[:, None, None] * bent
+            is_round = np.maximum(1 - 2 * flat, 0)[:, None]
+            facets.spread[:] += is_round[:, None] * bent
+            facets.normals[:] += is_round * leans
+            facets.normals[:] /= np.linalg.norm(facets.normals, axis=1)[:, None]
         else:
             skin = _skin(model, data, geom, fine)
             if hidden == "drop":

@@ -1263,6 +1263,8 @@ def test_round_meshes_slide_along_themselves_as_they_spin(name):
     hidden = np.einsum("nki,ni,nkj->nj", found["hides"], turns, found["edges"])
     off = np.linalg.norm(hidden - speeds, axis=1) / np.linalg.norm(speeds, axis=1)
     assert off.max() < close
+    lead = np.abs((speeds * found["normal"]).sum(axis=1)) / np.linalg.norm(speeds, axis=1)
+    assert lead.max() < close / 5
 
 
 @pytest.mark.parametrize("seed", [0, 1, 3])
