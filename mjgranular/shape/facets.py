@@ -41,7 +41,8 @@ FINEST = 200
 
 _TOUCH = 1e-6  # share of a geom's size within which surfaces coincide; chosen: far above rounding
 _FLAT = 1e-9  # change of a normal that is rounding; chosen
-_ROUND = 2.0  # radius of round skin, in its widths, at most; chosen: the shells of legs are round
+# Radii of round and of straight skin, in its widths; chosen: the shells of legs are round.
+_ROUND, _STRAIGHT = 2.0, 2.5
 _TURNS = 16  # positions around a hinge; less of a turn between limits is not all round; chosen
 
 _GEOM, _HINGE = mujoco.mjtGeom, int(mujoco.mjtJoint.mjJNT_HINGE)
@@ -153,8 +154,10 @@ def _hidden(facets: np.ndarray) -> np.ndarray:
     dual = np.linalg.pinv(facets["edges"])
     bend = dual @ facets["spread"] @ dual @ facets["edges"]
     curvatures, axes = np.linalg.eigh((bend + bend.swapaxes(1, 2)) / 2)
-    is_round = np.abs(curvatures) * facets["face"][:, None] > 1 / _ROUND
-    radii = is_round / np.where(is_round, curvatures, 1) * (1 - facets["flat"])[:, None]
+    bent = np.abs(curvatures) * facets["face"][:, None] - 1 / _STRAIGHT
+    # Cubed, since sand hardly follows even a tenth of such motion.
+    share = np.clip(bent / (1 / _ROUND - 1 / _STRAIGHT), 0, 1) ** 3 * (1 - facets["flat"])[:, None]
+    radii = share / np.where(share > 0, curvatures, 1)
     return dual.swapaxes(1, 2) @ (axes * radii[:, None]) @ axes.swapaxes(1, 2)
 
 

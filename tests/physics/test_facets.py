@@ -1278,6 +1278,16 @@ def test_the_force_does_not_jump_where_skin_begins_to_slide(seed):
     assert steps.max() < 0.005 * sizes.max()
 
 
+def test_the_force_does_not_jump_where_skin_becomes_too_straight_to_slide():
+    def lift(thick):
+        geom = f"<geom type='ellipsoid' size='0.1 {thick} {thick}'/>"
+        pushed = Pushed(body(geom), "rft3d_dynamic added=0")
+        return pushed.force((0, 0, 0), (1, 0, 0, 0), (0.1, 0, 0), (0, 10, 0))[2]
+
+    lifts = [lift(thick) for thick in np.geomspace(0.05, 0.0485, 7)]
+    assert np.abs(np.diff(np.log(lifts))).max() < 0.02
+
+
 def test_a_roller_is_one_that_turns_about_its_own_axis():
     model = mujoco.MjModel.from_xml_string("""
     <mujoco><worldbody>
