@@ -139,10 +139,7 @@ def gathered(
     patch = (np.cumsum(there) - 1)[patch[rows]]
     weights = np.maximum(np.einsum("ni,ni->n", vectors[rows], normals[patch]), 0.0)
     away = points[rows] - middles[patch]
-    deep, along = (
-        np.einsum("ni,ni->n", normals[patch], away),
-        np.einsum("ni,ni->n", axes[patch, 1], away),
-    )
+    deep, along = (np.einsum("ni,ni->n", n[patch], away) for n in (normals, axes[:, 1]))
     # The axis points to the longer tail of the patch: a mesh that is turned is sampled alike.
     skew = np.bincount(patch, weights * along**3, len(axes))
     along = np.where(skew < 0, -1.0, 1.0)[patch] * along
@@ -154,8 +151,7 @@ def gathered(
     edges = half * axes
     skin = at_corners(middles, normals, edges)
     curved = np.einsum("ni,nij,nj->n", normals, moments, normals) > (_FLAT * size) ** 2
-    sample = np.stack([points[picked], vectors[picked] / areas[picked, None]], axis=2)
-    skin[curved] = sample[curved]
+    skin[curved] = np.stack([points[picked], vectors[picked] / areas[picked, None]], 2)[curved]
     return Facets(middles, normals, sizes, edges, slope @ turning, skin), slope @ bent, leans
 
 
@@ -165,8 +161,7 @@ def single(corners: np.ndarray) -> Facets:
     corners, vectors, areas = corners[areas > 0], vectors[areas > 0], areas[areas > 0]
     nothing = np.zeros((len(areas), 2, 3))
     points, normals = corners.mean(axis=1), vectors / areas[:, None]
-    skin = at_corners(points, normals, nothing)
-    return Facets(points, normals, areas, nothing, nothing, skin)
+    return Facets(points, normals, areas, nothing, nothing, at_corners(points, normals, nothing))
 
 
 def flatness(
