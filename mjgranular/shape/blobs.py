@@ -57,8 +57,7 @@ def _set_support(model: mujoco.MjModel, geom: int, blob: np.void) -> None:
     elif kind in (_GEOM.mjGEOM_BOX, _GEOM.mjGEOM_MESH):
         blob["halves"] = half
         if kind == _GEOM.mjGEOM_MESH:
-            rotation = blob["axes"].reshape(3, 3)
-            blob["center"] += rotation @ model.geom_aabb[geom, :3]
+            blob["center"] += blob["axes"].reshape(3, 3) @ model.geom_aabb[geom, :3]
     else:
         raise sizes.type_error(model, geom)
 

@@ -41,7 +41,8 @@ FINEST = 200
 
 _TOUCH = 1e-6  # share of a geom's size within which surfaces coincide; chosen: far above rounding
 _FLAT = 1e-9  # change of a normal that is rounding; chosen
-_ROUND = 2.0  # radius of round skin, in its widths, at most; chosen: the shells of legs are round
+# Radii of round and of straight skin, in its widths; chosen: the shells of legs are round.
+_ROUND, _STRAIGHT = 2.0, 2.5
 _TURNS = 16  # positions around a hinge; less of a turn between limits is not all round; chosen
 
 _GEOM, _HINGE = mujoco.mjtGeom, int(mujoco.mjtJoint.mjJNT_HINGE)
@@ -98,14 +99,16 @@ def facets_from_model(
                 inside = within_others(corners, shells[parents], vertices[faces], shells)
                 seen = ~(inside | hidden_skin(model, data, geom, skin, ordered))
                 corners, parents = corners[seen], parents[seen]
-            facets = patches.single(corners)
-            bent = facets.spread
+            facets, bent, leans = patches.single(corners), 0.0, 0.0
             if is_cut:
-                bends, offsets = patches.bends(vertices, faces)
-                facets, bent = patches.gathered(corners, fine, bends[parents], offsets[parents])
+                bends = (found[parents] for found in patches.bends(vertices, faces))
+                facets, bent, leans = patches.gathered(corners, fine, *bends)
             width = sizes.geom_width(model, geom)
             flat = patches.flatness(facets.points, facets.normals, facets.areas, width)
-            facets.spread[:] += np.maximum(1 - 2 * flat, 0)[:, None, None] * bent
+            is_round = np.maximum(1 - 2 * flat, 0)[:, None]
+            facets.spread[:] += is_round[:, None] * bent
+            facets.normals[:] += is_round * leans
+            facets.normals[:] /= np.linalg.norm(facets.normals, axis=1)[:, None]
         else:
             skin = _skin(model, data, geom, fine)
             if hidden == "drop":
@@ -151,8 +154,10 @@ def _hidden(facets: np.ndarray) -> np.ndarray:
     dual = np.linalg.pinv(facets["edges"])
     bend = dual @ facets["spread"] @ dual @ facets["edges"]
     curvatures, axes = np.linalg.eigh((bend + bend.swapaxes(1, 2)) / 2)
-    is_round = np.abs(curvatures) * facets["face"][:, None] > 1 / _ROUND
-    radii = is_round / np.where(is_round, curvatures, 1) * (1 - facets["flat"])[:, None]
+    bent = np.abs(curvatures) * facets["face"][:, None] - 1 / _STRAIGHT
+    # Cubed, since sand hardly follows even a tenth of such motion.
+    share = np.clip(bent / (1 / _ROUND - 1 / _STRAIGHT), 0, 1) ** 3 * (1 - facets["flat"])[:, None]
+    radii = share / np.where(share > 0, curvatures, 1)
     return dual.swapaxes(1, 2) @ (axes * radii[:, None]) @ axes.swapaxes(1, 2)
 
 

@@ -7,6 +7,7 @@ allowed. So flat parts form large patches, and the two sides of a plate are spli
 
 A patch keeps the sum of the area vectors (area times outward normal) of its triangles, so a closed
 surface stays closed; centroid and second moments of their area; and the slope of their normals.
+Where the surface is round, the normal turns to that of the round surface at the centroid.
 """
 
 import math
@@ -90,19 +91,20 @@ def bends(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 def gathered(
     corners: np.ndarray, resolution: int, bends: np.ndarray, offsets: np.ndarray
-) -> tuple[Facets, np.ndarray]:
+) -> tuple[Facets, np.ndarray, np.ndarray]:
     """Group triangles into patches, at most twice the square of the resolution.
 
     Their corners, counter-clockwise seen from outside [m], are of shape (n, 3, 3); `bends`, with
     offsets, are of the whole triangles that they are pieces of. Returns as well what the bends add
-    to the spread if the surface is round, shape (n, 2, 3).
+    to spread and normals if the surface is round, shapes (n, 2, 3) and (n, 3).
     """
     there = _areas(corners)[1] > 0
     corners, bends, offsets = corners[there], bends[there], offsets[there]
     vectors, areas = _areas(corners)
     if not len(corners):
-        shapes = ((3,), (3,), (), (2, 3), (2, 3), (4, 2, 3))
-        return Facets(*(np.zeros((0, *shape)) for shape in shapes)), np.zeros((0, 2, 3))
+        shapes = ((3,), (3,), (), (2, 3), (2, 3), (4, 2, 3), (2, 3), (3,))
+        *facets, bent, leans = (np.zeros((0, *shape)) for shape in shapes)
+        return Facets(*facets), bent, leans
     size, points, normals = _size(corners), corners.mean(axis=1), vectors / areas[:, None]
     places = np.concatenate([np.sqrt(_PLACE) / size * points, normals], axis=1)
     patch, count = _parted(places, areas, resolution)
@@ -120,12 +122,14 @@ def gathered(
     moments = total(areas[:, None, None] * (own + away[:, :, None] * away[:, None]))
     moments /= area[:, None, None]
     turning = total(away[:, :, None] * vectors[:, None]) / area[:, None, None]
-    bent = np.einsum("ni,nj->nij", away, np.einsum("nij,nj->ni", bends, points) + offsets)
-    bent = total(areas[:, None, None] * (bent + own @ bends.swapaxes(1, 2))) / area[:, None, None]
+    leans = np.einsum("nij,nj->ni", bends, points) + offsets
+    bent = np.einsum("ni,nj->nij", away, leans) + own @ bends.swapaxes(1, 2)
+    bent = total(areas[:, None, None] * bent) / area[:, None, None]
+    leans = total(areas[:, None] * leans) / area[:, None]
     sizes = np.linalg.norm(whole, axis=1)
     there = sizes > _CANCELLED * area
-    area, whole, middles, moments, turning, bent, sizes = (
-        values[there] for values in (area, whole, middles, moments, turning, bent, sizes)
+    area, whole, middles, moments, turning, bent, leans, sizes = (
+        values[there] for values in (area, whole, middles, moments, turning, bent, leans, sizes)
     )
     normals = whole / sizes[:, None]
     across = np.eye(3) - normals[:, :, None] * normals[:, None]
@@ -135,10 +139,7 @@ def gathered(
     patch = (np.cumsum(there) - 1)[patch[rows]]
     weights = np.maximum(np.einsum("ni,ni->n", vectors[rows], normals[patch]), 0.0)
     away = points[rows] - middles[patch]
-    deep, along = (
-        np.einsum("ni,ni->n", normals[patch], away),
-        np.einsum("ni,ni->n", axes[patch, 1], away),
-    )
+    deep, along = (np.einsum("ni,ni->n", n[patch], away) for n in (normals, axes[:, 1]))
     # The axis points to the longer tail of the patch: a mesh that is turned is sampled alike.
     skew = np.bincount(patch, weights * along**3, len(axes))
     along = np.where(skew < 0, -1.0, 1.0)[patch] * along
@@ -150,9 +151,8 @@ def gathered(
     edges = half * axes
     skin = at_corners(middles, normals, edges)
     curved = np.einsum("ni,nij,nj->n", normals, moments, normals) > (_FLAT * size) ** 2
-    sample = np.stack([points[picked], vectors[picked] / areas[picked, None]], axis=2)
-    skin[curved] = sample[curved]
-    return Facets(middles, normals, sizes, edges, slope @ turning, skin), slope @ bent
+    skin[curved] = np.stack([points[picked], vectors[picked] / areas[picked, None]], 2)[curved]
+    return Facets(middles, normals, sizes, edges, slope @ turning, skin), slope @ bent, leans
 
 
 def single(corners: np.ndarray) -> Facets:
@@ -161,8 +161,7 @@ def single(corners: np.ndarray) -> Facets:
     corners, vectors, areas = corners[areas > 0], vectors[areas > 0], areas[areas > 0]
     nothing = np.zeros((len(areas), 2, 3))
     points, normals = corners.mean(axis=1), vectors / areas[:, None]
-    skin = at_corners(points, normals, nothing)
-    return Facets(points, normals, areas, nothing, nothing, skin)
+    return Facets(points, normals, areas, nothing, nothing, at_corners(points, normals, nothing))
 
 
 def flatness(

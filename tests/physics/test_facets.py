@@ -1263,6 +1263,8 @@ def test_round_meshes_slide_along_themselves_as_they_spin(name):
     hidden = np.einsum("nki,ni,nkj->nj", found["hides"], turns, found["edges"])
     off = np.linalg.norm(hidden - speeds, axis=1) / np.linalg.norm(speeds, axis=1)
     assert off.max() < close
+    lead = np.abs((speeds * found["normal"]).sum(axis=1)) / np.linalg.norm(speeds, axis=1)
+    assert lead.max() < close / 5
 
 
 @pytest.mark.parametrize("seed", [0, 1, 3])
@@ -1274,6 +1276,16 @@ def test_the_force_does_not_jump_where_skin_begins_to_slide(seed):
     forces = np.array([ball.force((0, 0, -0.02), level, v, w) for v, w in ways])
     steps, sizes = (np.linalg.norm(x, axis=1) for x in (np.diff(forces, axis=0), forces))
     assert steps.max() < 0.005 * sizes.max()
+
+
+def test_the_force_does_not_jump_where_skin_becomes_too_straight_to_slide():
+    def lift(thick):
+        geom = f"<geom type='ellipsoid' size='0.1 {thick} {thick}'/>"
+        pushed = Pushed(body(geom), "rft3d_dynamic added=0")
+        return pushed.force((0, 0, 0), (1, 0, 0, 0), (0.1, 0, 0), (0, 10, 0))[2]
+
+    lifts = [lift(thick) for thick in np.geomspace(0.05, 0.0485, 7)]
+    assert np.abs(np.diff(np.log(lifts))).max() < 0.02
 
 
 def test_a_roller_is_one_that_turns_about_its_own_axis():

@@ -130,9 +130,9 @@ class Facet:
         dual, slow = np.linalg.pinv(edges), 1e-6 * G * element["face"]
         bend = dual @ self.spread @ dual @ edges
         curvatures, axes = np.linalg.eigh((bend + bend.T) / 2)
-        is_round = np.abs(curvatures) > 1 / (2 * element["face"])
-        axes = axes[:, is_round]
-        h = (1 - element["flat"]) * axes @ (axes.T @ turn / curvatures[is_round])
+        part = np.clip(10 * np.abs(curvatures) * element["face"] - 4, 0, 1) ** 3
+        axes, part, curvatures = axes[:, part > 0], part[part > 0], curvatures[part > 0]
+        h = (1 - element["flat"]) * axes @ (part * (axes.T @ turn) / curvatures)
         turn = self.spread.T @ dual.T @ h
         across, self.turns = self.v - lead * self.n, self.spread @ h
         h -= (h @ self.n) * self.n
