@@ -12,7 +12,7 @@ import numpy as np
 from gymnasium.spaces import Box
 
 from mjgranular import InputError, Law, Medium
-from mjgranular.envs.dunes import Dunes
+from mjgranular.envs.ground import Dunes
 from mjgranular.envs.task import Start, State, Task
 from mjgranular.models import Link
 

@@ -9,7 +9,7 @@ import mujoco
 
 from mjgranular._util.checks import check_name
 from mjgranular.models.link import Link
-from mjgranular.sand.material import LAW_TEXT
+from mjgranular.sand.spec import LAW_TEXT
 
 Shape = Literal["link", "sphere", "box", "cylinder", "capsule", "ellipsoid", "plate"]
 

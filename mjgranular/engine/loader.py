@@ -37,8 +37,7 @@ from mjgranular.render.skin import skin_of
 from mjgranular.sand.prepare import PreparedSand, prepare
 from mjgranular.sand.report import Names
 from mjgranular.scheme import Auto, schemes
-from mjgranular.surface import Plane, Surface
-from mjgranular.surface.choice import surfaces
+from mjgranular.surface import Plane, Surface, surfaces
 
 _KEPT = 32  # images of past models: they cost memory, and save another preparation
 # Inputs of elements, selection, surfaces and prints. Heights of a height field are read live.

@@ -9,8 +9,8 @@ import math
 from functools import partial
 
 from mjgranular.kernel.compiled import compiled
+from mjgranular.scheme.balance import evaluate, follow_all
 from mjgranular.scheme.dense import add_scaled, copy, inner, solve
-from mjgranular.scheme.evaluation import evaluate, follow_all
 from mjgranular.scheme.forces import DAMP, FRESH
 
 FURTHEST = 3.0

@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from mjgranular.kernel.compiled import compiled
+from mjgranular.scheme.balance import evaluate, evaluate_last, follow_all
 from mjgranular.scheme.dense import add_scaled, inner, solve
-from mjgranular.scheme.evaluation import evaluate, evaluate_last, follow_all
 from mjgranular.scheme.forces import LAST, NEXT, RESPOND
 
 # Square of the difference between a multiplier and its velocity's: below the first the force counts

@@ -16,8 +16,7 @@ from mjgranular.medium import Medium, get_medium
 from mjgranular.relief.footprint import fitting
 from mjgranular.relief.memory import Heights, as_memory
 from mjgranular.relief.relief import Relief, place_in_plane
-from mjgranular.sand.changes import Original
-from mjgranular.sand.prepare import choose_sand, remembering
+from mjgranular.sand.prepare import Original, choose_sand, remembering
 from mjgranular.sand.spec import SandFields, SandSpec, combined
 from mjgranular.scheme import Auto, Implicit, get_scheme
 from mjgranular.warp import damping, fit, translate

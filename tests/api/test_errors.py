@@ -21,7 +21,7 @@ from mjgranular.errors import (
     UnstableError,
 )
 from mjgranular.kernel import compiled
-from mjgranular.kernel.compiler import KernelError
+from mjgranular.kernel.compiled import KernelError
 from mjgranular.kernel.structs import LayoutError
 from mjgranular.kernel.vector import Vector, diagonal
 from mjgranular.models import Link, model_path
