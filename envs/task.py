@@ -26,7 +26,7 @@ from gymnasium.spaces import Box
 
 from mjgranular import HeightField, InputError, Medium, Plane, SandSpec
 from mjgranular._util.checks import check_count, check_switch
-from mjgranular._util.registry import Registry
+from mjgranular._util.parse import Registry
 from mjgranular.envs.figures import Figures
 from mjgranular.envs.ground import DUNES, Dunes, add_dunes, put_on_sand
 from mjgranular.envs.ranges import Choice, Sample, SandRanges, choices_of, ranges_of, sampled_info

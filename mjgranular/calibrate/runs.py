@@ -18,7 +18,7 @@ from mjgranular.errors import InputError, UnknownNameError, shown
 from mjgranular.experiment.drop import loading
 from mjgranular.medium import Medium
 from mjgranular.models import Projectile
-from mjgranular.models.projectile import Shape
+from mjgranular.models.link import Shape
 
 GRAVITY = 9.81  # as for all dropped bodies (models/link.xml) [m/s^2]
 _STEEL = 7850.0  # default density of a body that is moved, not dropped [kg/m^3]

@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 
 from mjgranular._util.checks import check_count, check_name
-from mjgranular._util.parse import read_value, split_words
-from mjgranular._util.registry import Registry
+from mjgranular._util.parse import Registry, read_value, split_words
 from mjgranular.errors import GranularError, InputError
 from mjgranular.law import get_law, laws
 from mjgranular.medium import Medium, get_medium, media

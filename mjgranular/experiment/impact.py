@@ -16,7 +16,7 @@ from mjgranular.law import get_law
 from mjgranular.law.link import DistributedLinkLaw, LinkLaw
 from mjgranular.medium import get_medium
 from mjgranular.models import Projectile
-from mjgranular.models.projectile import Shape
+from mjgranular.models.link import Shape
 from mjgranular.relief.memory import Memory, as_memory
 from mjgranular.render import TrackRecorder, Tracks
 from mjgranular.sand import Sand, SandSpec

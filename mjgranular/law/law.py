@@ -11,8 +11,7 @@ import mujoco
 import numpy as np
 
 from mjgranular._util.checks import check_records, is_finite, kind_of
-from mjgranular._util.parse import read_part
-from mjgranular._util.registry import Registry
+from mjgranular._util.parse import Registry, read_part
 from mjgranular.errors import InputError, UnknownNameError, shown, warn_user
 from mjgranular.law.kernel import LawKernel
 from mjgranular.law.validity import Finding, Limit, findings_of

@@ -12,9 +12,8 @@ import numpy as np
 
 from mjgranular._util import files
 from mjgranular._util.checks import require
-from mjgranular._util.result_folder import CONFIG
+from mjgranular._util.result_folder import CONFIG, versions
 from mjgranular._util.signals import kept_signals
-from mjgranular._util.versions import versions
 from mjgranular.errors import GranularError, InputError, shown, warn_user
 from mjgranular.learn import environments
 from mjgranular.learn.checkpoint import Progress, load_checkpoint, policy_arguments, write_policy

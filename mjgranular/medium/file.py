@@ -9,8 +9,7 @@ from typing import Any
 
 from mjgranular._util.checks import check_kind, kind_of, require
 from mjgranular._util.io import place, read_file
-from mjgranular._util.parse import parse_number
-from mjgranular._util.registry import Registry
+from mjgranular._util.parse import Registry, parse_number
 from mjgranular.errors import InputError, UnknownNameError, shown
 from mjgranular.medium.medium import Medium, Quantity
 

@@ -12,8 +12,7 @@ import mujoco
 import numpy as np
 
 from mjgranular._util.checks import check_finite, check_records, kind_of
-from mjgranular._util.parse import read_part
-from mjgranular._util.registry import Registry
+from mjgranular._util.parse import Registry, read_part
 from mjgranular.errors import InputError
 from mjgranular.kernel.compiled import check_compiled, compiled, entry
 from mjgranular.kernel.memory import records
