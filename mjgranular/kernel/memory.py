@@ -19,8 +19,8 @@ from numba.core.typing.templates import AttributeTemplate
 from numba.np.arrayobj import populate_array
 
 from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.engine import fields_of, offset_of
 from mjgranular.kernel.intrinsics import intrinsic
-from mjgranular.kernel.structs import fields_of, offset_of
 
 # The table: five numbers, then addresses. `sand.binding` fills it. LONGEST_STEP is in nanoseconds
 # (`scheme.scheme`).

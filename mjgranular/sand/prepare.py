@@ -14,7 +14,7 @@ from mjgranular.errors import CostWarning, GranularWarning, InputError
 from mjgranular.kernel.compiled import program_addresses
 from mjgranular.law import Law, make_scene
 from mjgranular.law.kernel import LawKernel
-from mjgranular.law.rules import check_rules
+from mjgranular.law.law import check_rules
 from mjgranular.medium import Medium
 from mjgranular.relief.footprint import Footprint, fitting, footprint_of, surroundings_of
 from mjgranular.relief.memory import Memory, as_memory

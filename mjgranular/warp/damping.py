@@ -22,7 +22,7 @@ import warp as wp
 
 from mjgranular.law.kernel import LawKernel, Level, Pose
 from mjgranular.scheme.added import momentum_of, most_given, share_after_turn
-from mjgranular.scheme.damping import prolonged
+from mjgranular.scheme.newton import prolonged
 from mjgranular.warp.grid import in_any_world, in_world, struct
 from mjgranular.warp.motions import (
     Damping,
@@ -364,7 +364,7 @@ def predict_again(
 ):
     """Predict the velocities at the end of the step again, with extrapolation.
 
-    One thread per world and robot. The same method as on the CPU (`scheme.damping`).
+    One thread per world and robot. The same method as on the CPU (`scheme.newton`).
     """
     world, r = wp.tid()
     h = timestep[world % timestep.shape[0]]

@@ -22,7 +22,7 @@ from mjgranular.errors import (
 )
 from mjgranular.kernel import compiled
 from mjgranular.kernel.compiled import KernelError
-from mjgranular.kernel.structs import LayoutError
+from mjgranular.kernel.engine import LayoutError
 from mjgranular.kernel.vector import Vector, diagonal
 from mjgranular.models import Link, model_path
 
