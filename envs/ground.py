@@ -13,7 +13,7 @@ import numpy as np
 
 from mjgranular import Bed, HeightField, InputError, Plane, SandSpec, Surface, add_sand
 from mjgranular.engine.config import SENSOR
-from mjgranular.errors import GranularError, shown
+from mjgranular.errors import loading, shown
 from mjgranular.relief.memory import as_memory
 from mjgranular.render.material import NOT_SHOWN, TILE, add_material
 from mjgranular.render.scenery import add_daylight, place_sun
@@ -70,7 +70,7 @@ def put_on_sand(
         names.append(add_sand(spec, sand, tunable=tunable, draw=draw).name)
     if sensors:
         _add_sensors(spec, names)
-    with quiet(), converted_errors():
+    with quiet(), loading("the robot"):
         model = spec.compile()
     place_sun(model)
     return model
@@ -126,17 +126,6 @@ def place(
 
 
 @contextmanager
-def converted_errors() -> Iterator[None]:
-    """Turn errors that MuJoCo raises, for the sand or itself, into errors of mjgranular."""
-    try:
-        yield
-    except GranularError:
-        raise
-    except (ValueError, mujoco.FatalError) as error:
-        raise InputError(" ".join(str(error).removeprefix("Error: ").split())) from None
-
-
-@contextmanager
 def quiet() -> Iterator[None]:
     """Ignore warnings of a deprecated attribute, robots buried until a reset, and rigid ground."""
     with warnings.catch_warnings():
@@ -151,7 +140,7 @@ def _without_dunes(spec: mujoco.MjSpec) -> mujoco.MjModel:
     for geom in bare.worldbody.geoms:
         if geom.type == mujoco.mjtGeom.mjGEOM_HFIELD:
             bare.delete(geom)
-    with quiet(), converted_errors():
+    with quiet(), loading("the robot"):
         return bare.compile()
 
 
