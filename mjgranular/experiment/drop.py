@@ -23,14 +23,13 @@ from mjgranular.errors import (
     warn_user,
 )
 from mjgranular.experiment.ground import PlainSand, hide_replaced, refuse_floors, warn_of_carrying
-from mjgranular.experiment.sampling import REST_WINDOW, Recorder, RestWatch
+from mjgranular.experiment.sampling import REST_WINDOW, Recorder, RestWatch, WorkMeter
 from mjgranular.models import robot_path
 from mjgranular.render import TrackRecorder, Tracks
 from mjgranular.render.scenery import add_scenery, place_sun
 from mjgranular.sand import Sand
 from mjgranular.sand.prepare import fitted, geoms_in_sand
 from mjgranular.sand.report import BodyReport
-from mjgranular.sand.work import WorkMeter
 from mjgranular.surface.floors import FloorWatch
 
 LARGEST_STEP = 1e-4
