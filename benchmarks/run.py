@@ -32,7 +32,7 @@ import tyro
 from rich.console import Console
 from rich.progress import Progress
 
-from mjgranular._util.versions import versions
+from mjgranular._util.result_folder import versions
 
 FAMILIES = {
     "interfaces": interfaces.GROUPS,

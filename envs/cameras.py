@@ -8,7 +8,7 @@ import numpy as np
 
 from mjgranular._util.checks import check_count
 from mjgranular._util.display import opens_window
-from mjgranular.envs.dunes import DUNES
+from mjgranular.envs.ground import DUNES
 from mjgranular.envs.task import Task
 from mjgranular.errors import InputError, RenderError, UnknownNameError, drawing
 

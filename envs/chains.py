@@ -11,7 +11,7 @@ import numpy as np
 
 from mjgranular import Medium
 from mjgranular._util.checks import check_count
-from mjgranular.envs.dunes import Dunes
+from mjgranular.envs.ground import Dunes
 from mjgranular.envs.task import Start, State, Task, coordinates
 from mjgranular.models import Worm
 

@@ -10,9 +10,9 @@ from mjgranular.engine.instances import sands_in
 from mjgranular.engine.sensor import SandReadings
 from mjgranular.law.validity import found_at
 from mjgranular.sand import SandSpec
-from mjgranular.sand.material import material_of
 from mjgranular.sand.prepare import geoms_in_sand
-from mjgranular.surface.choice import surface_of
+from mjgranular.sand.spec import material_of
+from mjgranular.surface import surface_of
 from mjgranular.surface.place import strength_of_gravity
 
 BAD = slice(int(mujoco.mjtWarning.mjWARN_BADQPOS), int(mujoco.mjtWarning.mjWARN_BADQACC) + 1)

@@ -4,6 +4,7 @@ import math
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from numbers import Real
 from typing import Any
 
@@ -12,14 +13,14 @@ import numpy as np
 
 from mjgranular import Bed, HeightField, InputError, Plane, SandSpec, Surface, add_sand
 from mjgranular.engine.config import SENSOR
-from mjgranular.errors import GranularError, shown
+from mjgranular.errors import loading, shown
 from mjgranular.relief.memory import as_memory
 from mjgranular.render.material import NOT_SHOWN, TILE, add_material
 from mjgranular.render.scenery import add_daylight, place_sun
 from mjgranular.sand.prepare import fitted
 from mjgranular.sand.spec import combined
 from mjgranular.shape.select import names_in
-from mjgranular.surface.choice import surface_of
+from mjgranular.surface import surface_of
 
 RIGID = "mjgranular rigid ground"
 """Name of a geom that carries the robot on purpose, beside the sand."""
@@ -69,7 +70,7 @@ def put_on_sand(
         names.append(add_sand(spec, sand, tunable=tunable, draw=draw).name)
     if sensors:
         _add_sensors(spec, names)
-    with quiet(), converted_errors():
+    with quiet(), loading("the robot"):
         model = spec.compile()
     place_sun(model)
     return model
@@ -125,17 +126,6 @@ def place(
 
 
 @contextmanager
-def converted_errors() -> Iterator[None]:
-    """Turn errors that MuJoCo raises, for the sand or itself, into errors of mjgranular."""
-    try:
-        yield
-    except GranularError:
-        raise
-    except (ValueError, mujoco.FatalError) as error:
-        raise InputError(" ".join(str(error).removeprefix("Error: ").split())) from None
-
-
-@contextmanager
 def quiet() -> Iterator[None]:
     """Ignore warnings of a deprecated attribute, robots buried until a reset, and rigid ground."""
     with warnings.catch_warnings():
@@ -150,7 +140,7 @@ def _without_dunes(spec: mujoco.MjSpec) -> mujoco.MjModel:
     for geom in bare.worldbody.geoms:
         if geom.type == mujoco.mjtGeom.mjGEOM_HFIELD:
             bare.delete(geom)
-    with quiet(), converted_errors():
+    with quiet(), loading("the robot"):
         return bare.compile()
 
 
@@ -243,3 +233,59 @@ def _add_sensors(spec: mujoco.MjSpec, names: Sequence[str]) -> None:
             sensor = spec.add_sensor(name=name, type=mujoco.mjtSensor.mjSENS_PLUGIN)
             sensor.plugin.active = True
             sensor.plugin.plugin_name, sensor.plugin.name = SENSOR, plugin.name
+
+
+DUNES = "dunes"  # name of the geom and of its height field
+
+_WAVES = ((1.0, 0.0, 0.0), (0.45, 0.8, 1.1), (0.3, -1.3, 2.3))
+"""Share of the height, waves along y per wave along x, phase; chosen: ridges that meander."""
+
+
+@dataclass(frozen=True)
+class Dunes:
+    """Three sine waves, the longest of them across the x axis; always the same.
+
+    They are as high as their steepest slope allows; laws are valid to ten degrees (`docs/laws`).
+    """
+
+    wavelength: float = 4.0  # wavelength of the longest [m]
+    extent: float = 40.0  # half size of the dunes along x and y [m]
+    steepest: float = math.radians(9)  # steepest slope [rad]; chosen
+
+    def height(self, x: float, y: float) -> float:
+        """Return the height over the level ground at a point [m]."""
+        return self._wave(math.sin, x, y)
+
+    def _wave(self, sin: Any, x: Any, y: Any) -> Any:
+        k = 2 * math.pi / self.wavelength
+        slopes = sum(share * k * math.hypot(1.0, across) for share, across, _ in _WAVES)
+        waves = (share * sin(k * (x + across * y) + phase) for share, across, phase in _WAVES)
+        return math.tan(self.steepest) / slopes * sum(waves)  # no slope exceeds `steepest`
+
+    def heights(self) -> np.ndarray:
+        """Return heights on the height field's grid [m], shape (rows over y, columns over x)."""
+        count = 2 * round(20 * self.extent / self.wavelength) + 1
+        line = np.linspace(-self.extent, self.extent, count)
+        return self._wave(np.sin, line[None, :], line[:, None])
+
+
+def add_dunes(spec: mujoco.MjSpec, dunes: Dunes) -> None:
+    """Add dunes around the height of the model's floor."""
+    heights = dunes.heights()
+    low, high = float(heights.min()), float(heights.max())
+    field = spec.add_hfield(name=DUNES)
+    field.nrow, field.ncol = heights.shape
+    field.size = [dunes.extent, dunes.extent, high - low, 0.1]
+    field.userdata = ((heights - low) / (high - low)).ravel().tolist()
+    floor = max(
+        (float(g.pos[2]) for g in spec.worldbody.geoms if g.type == mujoco.mjtGeom.mjGEOM_PLANE),
+        default=0.0,
+    )
+    spec.worldbody.add_geom(
+        name=DUNES,
+        type=mujoco.mjtGeom.mjGEOM_HFIELD,
+        hfieldname=DUNES,
+        pos=[0, 0, floor + low],
+        contype=0,
+        conaffinity=0,
+    )

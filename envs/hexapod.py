@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from mjgranular import Medium, models
-from mjgranular.envs.dunes import Dunes
+from mjgranular.envs.ground import Dunes
 from mjgranular.envs.task import Start, State, Task, coordinates
 
 

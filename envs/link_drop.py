@@ -12,7 +12,7 @@ import numpy as np
 from gymnasium.spaces import Box
 
 from mjgranular import InputError, Law, Medium
-from mjgranular.envs.dunes import Dunes
+from mjgranular.envs.ground import Dunes
 from mjgranular.envs.task import Start, State, Task
 from mjgranular.models import Link
 
@@ -73,10 +73,8 @@ class LinkDrop(Task):
         super().__post_init__()
         for name in ("target_range", "speed_range"):
             low, high = getattr(self, name)
-            if not (math.isfinite(low) and math.isfinite(high) and 0 < low <= high):
-                raise InputError(
-                    f"{name} must be (low, high), positive and in this order, not {(low, high)}"
-                )
+            if not 0 < low <= high < math.inf:
+                raise InputError(f"{name} must be positive and finite, not {(low, high)}")
         if self.rigid is not None:
             raise InputError("LinkDrop drops a link into sand: omit rigid")
 

@@ -16,9 +16,8 @@ from mjgranular.errors import InputError, UnknownNameError
 from mjgranular.law import law_in
 from mjgranular.medium import Medium, get_medium
 from mjgranular.relief.memory import as_memory
-from mjgranular.sand.material import medium_for
-from mjgranular.sand.spec import SandSpec, combined
-from mjgranular.surface.choice import surface_of
+from mjgranular.sand.spec import SandSpec, combined, medium_for
+from mjgranular.surface import surface_of
 
 SURFACES = ("plane", "dunes")
 """Surfaces that can be sampled: level apart from the slope, or fixed dunes at a random position."""

@@ -18,11 +18,11 @@ from mjgranular.engine.instances import sands_in
 from mjgranular.engine.sensor import SandReadings
 from mjgranular.envs.cameras import check_camera, check_mode, check_screen
 from mjgranular.envs.figures import BAD, Figures
-from mjgranular.envs.ground import converted_errors, put_on_sand, quiet
+from mjgranular.envs.ground import put_on_sand, quiet
 from mjgranular.envs.ids import creator_of, find_spec
 from mjgranular.envs.ranges import Sample, SandRanges, choices_of, ranges_of, sampled_info
 from mjgranular.envs.single import first_of
-from mjgranular.errors import InputError, UnknownArgumentError, UnknownNameError
+from mjgranular.errors import InputError, UnknownArgumentError, UnknownNameError, loading
 from mjgranular.sand.spec import SAND_FIELDS, SandSpec, combined
 
 ROBOT_SAND = SandSpec(medium="quikrete_medium", resolution=4)
@@ -144,7 +144,7 @@ class OnSand(MujocoEnv):
         screen.offheight = max(screen.offheight, self.height)
         self._readings = SandReadings(model, sands_in(model))
         self._figures = Figures(model, self.sands, self._readings)
-        with converted_errors():
+        with loading(self.fullpath):
             return model, mujoco.MjData(model)
 
     def _step_mujoco_simulation(self, ctrl: np.ndarray, n_frames: int) -> None:

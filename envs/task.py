@@ -26,14 +26,13 @@ from gymnasium.spaces import Box
 
 from mjgranular import HeightField, InputError, Medium, Plane, SandSpec
 from mjgranular._util.checks import check_count, check_switch
-from mjgranular._util.registry import Registry
-from mjgranular.envs.dunes import DUNES, Dunes, add_dunes
+from mjgranular._util.parse import Registry
 from mjgranular.envs.figures import Figures
-from mjgranular.envs.ground import put_on_sand
+from mjgranular.envs.ground import DUNES, Dunes, add_dunes, put_on_sand
 from mjgranular.envs.ranges import Choice, Sample, SandRanges, choices_of, ranges_of, sampled_info
 from mjgranular.errors import shown
 from mjgranular.sand.spec import SAND_FIELDS
-from mjgranular.surface.choice import surface_of
+from mjgranular.surface import surface_of
 
 State = SimpleNamespace
 """Live arrays of n simulations: `qpos`, `qvel`, `sensordata`, ..., each of shape (n, ...); and

@@ -11,10 +11,9 @@ import mujoco
 import numpy as np
 
 from mjgranular._util.checks import check_count
-from mjgranular.envs.ground import converted_errors
 from mjgranular.envs.ranges import Sample
 from mjgranular.envs.task import Start, State, Task, coordinates
-from mjgranular.errors import InputError, shown
+from mjgranular.errors import InputError, loading, shown
 from mjgranular.models import robot_path
 from mjgranular.shape.sizes import geom_axes
 
@@ -245,7 +244,7 @@ class Go1Velocity(Task):
 
     def load(self) -> mujoco.MjSpec:
         """Return the robot, from its file."""
-        with converted_errors():
+        with loading(self.robot_file):
             return mujoco.MjSpec.from_file(str(robot_path(self.robot_file)))
 
     def robot(self) -> mujoco.MjSpec:
@@ -721,7 +720,7 @@ class G1Velocity(Go1Velocity):
         hard = [geom for geom in foot.geoms if geom.contype or geom.conaffinity]
         if not hard:
             raise InputError(f"the body {foot.name} must have a geom that collides: its foot")
-        with converted_errors():
+        with loading("the robot"):
             model = spec.compile()
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
         for geom in (geom.id for geom in hard):

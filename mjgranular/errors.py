@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import difflib
 import os
+import re
 import sys
 import threading
 import warnings
@@ -149,6 +150,21 @@ def drawing(what: str = "MuJoCo cannot draw on this machine") -> Iterator[None]:
             "mjgranular before mujoco or set MUJOCO_GL=egl "
             f"(it is {os.environ.get('MUJOCO_GL')!r}), and use render_mode='rgb_array'"
         ) from None
+
+
+@contextmanager
+def loading(title: object) -> Iterator[None]:
+    """Turn errors of MuJoCo into an `InputError` that names the model."""
+    import mujoco  # after `_util.display` has chosen a renderer
+
+    try:
+        yield
+    except GranularError:
+        raise
+    except (ValueError, OSError, mujoco.FatalError) as error:
+        reason = " ".join(str(error).split())
+        ours = re.search("engine error: mjgranular '[^']*': (.*)", reason)
+        raise InputError(ours[1] if ours else f"MuJoCo cannot load {title}: {reason}") from None
 
 
 class MissingExtraError(GranularError, ImportError):

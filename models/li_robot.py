@@ -114,16 +114,11 @@ class LiRobot:
             x, z = radius * (np.cos(turn) - np.cos(s * turn)), radius * np.sin(s * turn)
         line = self.chord / 2 * np.stack([x, 0 * s, -1.0 - z], -1)
         normal = np.stack([-np.cos(s * turn), 0 * s, -np.sin(s * turn)], -1)
-        corners = ((1, -1), (1, 1), (-1, 1), (-1, -1))
-        vertices = np.stack(
-            [
-                line + out * self.thickness / 2 * normal + [0, y * self.leg_width / 2, 0]
-                for out, y in corners
-            ],
-            axis=1,
-        ).reshape(-1, 3)
-        quads = [(0, 1, 2, 3), tuple(4 * len(s) - n for n in (1, 2, 3, 4))]
-        for row in range(0, 4 * (len(s) - 1), 4):
-            for k, after in ((0, 1), (1, 2), (2, 3), (3, 0)):
-                quads.append((row + k, row + 4 + k, row + 4 + after, row + after))
-        return vertices, np.array([t for a, b, c, d in quads for t in ((c, b, a), (d, c, a))])
+        out, across = np.array([[1, 1, -1, -1], [-1, 1, 1, -1]])[..., None] / 2
+        sides = across * [0, self.leg_width, 0]
+        vertices = line[:, None] + out * self.thickness * normal[:, None] + sides
+        first, k = 4 * np.arange(len(s) - 1)[:, None], np.arange(4)
+        after = (k + 1) % 4
+        around = np.stack([first + k, first + 4 + k, first + 4 + after, first + after], axis=-1)
+        quads = np.concatenate([[k, 4 * len(s) - 1 - k], around.reshape(-1, 4)])
+        return vertices.reshape(-1, 3), quads[:, [2, 1, 0, 3, 2, 0]].reshape(-1, 3)

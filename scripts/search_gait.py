@@ -17,8 +17,7 @@ import numpy as np
 
 from mjgranular.envs.gaits import gait
 from mjgranular.errors import GranularError, InputError
-from mjgranular.learn.agents import Baseline
-from mjgranular.learn.evaluate import AT_ONCE, parse_variant, run_episodes
+from mjgranular.learn.evaluate import AT_ONCE, Baseline, parse_variant, run_episodes
 
 SEED = 20_000  # evaluations use others
 

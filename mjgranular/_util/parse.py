@@ -1,20 +1,56 @@
-"""A name and its options, as in a shell: `link eta_d=7`, `bed geom='my tray'`.
+"""Registries of what has a name; a name and its options, as in a shell: `bed geom='my tray'`.
 
 MJCF, the command line and Python have laws, surfaces and schemes in this form; none is evaluated.
 """
 
 import shlex
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import fields
 from typing import Any, TypeVar, get_type_hints
 
-from mjgranular._util.registry import Registry
-from mjgranular.errors import InputError, listed, shown
+from mjgranular.errors import InputError, UnknownNameError, listed, shown, similar_names
 
 T = TypeVar("T")
 
 LARGEST = 100_000
 """Largest integer; chosen: more pieces than any body needs, and few enough for memory."""
+
+
+class Registry(Mapping[str, T]):
+    """A mapping from names to things whose `KeyError` lists the names that exist."""
+
+    def __init__(self, kind: str, hint: str = "") -> None:
+        self._kind = kind
+        self._hint = hint  # how to add one, for names that resemble none
+        self._things: dict[str, T] = {}
+
+    def add(self, name: str, thing: T, *, replace: bool = False) -> None:
+        """Register `thing` as `name`; a class that is defined again replaces the old one."""
+        before = self._things.get(name, thing)
+        if not replace and before is not thing and _origin(before) != _origin(thing):
+            raise InputError(
+                f"the {self._kind} {name!r} exists already; choose another name or replace=True"
+            )
+        self._things[name] = thing
+
+    def __getitem__(self, name: str) -> T:
+        try:
+            return self._things[name]
+        except (KeyError, TypeError):
+            known = sorted(self._things)
+            hint = "" if similar_names(name, known) else self._hint
+            raise UnknownNameError(self._kind, name, known, hint) from None
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(sorted(self._things))
+
+    def __len__(self) -> int:
+        return len(self._things)
+
+
+def _origin(thing: object) -> tuple[object, ...]:
+    """Return where a class was defined; of anything else, which of all things it is."""
+    return (thing.__module__, thing.__qualname__) if isinstance(thing, type) else (id(thing),)
 
 
 def read_part(text: str, register: Registry[type[T]], kind: str) -> tuple[type[T], dict[str, Any]]:
@@ -82,3 +118,6 @@ def read_options(words: Iterable[str], cls: Any, what: str) -> dict[str, Any]:
             raise InputError(f"the option {name!r} of the {what} is given twice")
         options[name] = read_value(text, kinds[name], name)
     return options
+
+
+T = TypeVar("T")

@@ -1,15 +1,20 @@
-"""The folder of a result: claimed before the work, written at its end, nothing lost."""
+"""The folder of a result: claimed before the work, written at its end, nothing lost.
+
+And the versions that a result depends on.
+"""
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+import platform
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Self
 
 from mjgranular._util import files
 from mjgranular._util.io import read_json
-from mjgranular._util.versions import versions
+from mjgranular._version import __version__
 from mjgranular.errors import OutputError
 
 CONFIG = "config.json"
@@ -122,3 +127,31 @@ class ResultFolder:
     def write(self, name: str, fill: Callable[[Path], object]) -> None:
         with files.atomic_write((self._waiting or self.path) / name) as part:
             fill(part)
+
+
+_PACKAGES = ("mujoco", "numpy", "numba")
+
+
+def versions(*further: str) -> dict[str, Any]:
+    """Return versions of Python, of packages that affect results and of `further`; the platform."""
+    found: dict[str, Any] = {
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "mjgranular": __version__,  # that of an editable installation may be old
+    }
+    for package in (*_PACKAGES, *further):
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            found[package] = None
+    return found
+
+
+def mismatch(here: Mapping[str, Any], there: Mapping[str, Any]) -> str | None:
+    """Return packages whose versions differ in two processes, with both; None if none do."""
+    different = [
+        f"{name} {there.get(name) or 'none'} there and {here.get(name) or 'none'} here"
+        for name in ("mjgranular", *_PACKAGES)
+        if here.get(name) != there.get(name)
+    ]
+    return ", ".join(different) or None

@@ -14,11 +14,10 @@ from mjgranular._util.checks import check_finite, check_name, is_finite
 from mjgranular._util.io import place
 from mjgranular.calibrate.motion import Motion
 from mjgranular.calibrate.table import read_table
-from mjgranular.errors import InputError, UnknownNameError, shown
-from mjgranular.experiment.drop import loading
+from mjgranular.errors import InputError, UnknownNameError, loading, shown
 from mjgranular.medium import Medium
 from mjgranular.models import Projectile
-from mjgranular.models.projectile import Shape
+from mjgranular.models.link import Shape
 
 GRAVITY = 9.81  # as for all dropped bodies (models/link.xml) [m/s^2]
 _STEEL = 7850.0  # default density of a body that is moved, not dropped [kg/m^3]

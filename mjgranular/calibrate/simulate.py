@@ -18,8 +18,7 @@ from mjgranular.kernel.compiled import entry
 from mjgranular.law import Law
 from mjgranular.medium import Medium, get_medium
 from mjgranular.models import Projectile
-from mjgranular.sand.binding import Binding, bind
-from mjgranular.sand.guard import finish_step, guarded_step
+from mjgranular.sand.binding import Binding, bind, finish_step, guarded_step
 from mjgranular.sand.prepare import PreparedSand, prepare
 from mjgranular.sand.spec import SandSpec
 from mjgranular.scheme import Explicit, Scheme

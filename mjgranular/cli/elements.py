@@ -12,8 +12,8 @@ import tyro
 from mjgranular._util.result_folder import ResultFolder
 from mjgranular.cli.console import out, print_json, table
 from mjgranular.cli.options import Flag, options_of
-from mjgranular.errors import FloorWarning
-from mjgranular.experiment.drop import Drop, loading, read, start_from
+from mjgranular.errors import FloorWarning, loading
+from mjgranular.experiment.drop import Drop, read, start_from
 from mjgranular.picture.elements import check_file, count, draw_elements, kind_of
 from mjgranular.sand import Sand
 from mjgranular.sand.report import Names

@@ -14,8 +14,16 @@ from mjgranular.cli.console import out, print_result, progress_bar, table
 from mjgranular.cli.options import Flag
 from mjgranular.errors import InputError, OutputError, UnknownNameError
 from mjgranular.learn import environments
-from mjgranular.learn.agents import BASELINES, Agent, make_baseline
-from mjgranular.learn.evaluate import FIRST_SEED, Score, check_seeds, evaluate, parse_variant
+from mjgranular.learn.evaluate import (
+    BASELINES,
+    FIRST_SEED,
+    Agent,
+    Score,
+    check_seeds,
+    evaluate,
+    make_baseline,
+    parse_variant,
+)
 from mjgranular.learn.policies import Policy, load_policy
 from mjgranular.learn.sands import Sands, sands_made, sands_of
 

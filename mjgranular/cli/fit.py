@@ -14,7 +14,7 @@ from mjgranular.calibrate.medium import fitted_medium, medium_text
 from mjgranular.cli.console import out, print_json, progress_bar, show_error, table
 from mjgranular.cli.options import Flag, collected, law_named
 from mjgranular.errors import InputError
-from mjgranular.picture.fits import draw_fit
+from mjgranular.picture.figures import draw_fit
 
 _ROUNDS = 12  # of a fit, as a guess for the progress bar
 

@@ -17,7 +17,7 @@ from mjgranular.errors import UnknownNameError
 from mjgranular.law import Law, check_constants, law_in, laws
 from mjgranular.learn import policies
 from mjgranular.medium import get_medium, media
-from mjgranular.sand.material import has_constants
+from mjgranular.sand.spec import has_constants
 
 Listed = tuple[Any, Any]
 """A value for JSON, and what rich prints."""

@@ -27,7 +27,7 @@ from mjgranular.experiment.study import ANGLES
 from mjgranular.experiment.trajectory import degrees
 from mjgranular.law import Law, laws, register_law
 from mjgranular.picture.video import Film, Frames, write_video
-from mjgranular.shape.rods import CHOOSE
+from mjgranular.shape.single import CHOOSE
 
 _METAVARS = {str: "NAME", int: "N", float: "X", Path: "FILE"}
 _EXACT = 2**53  # up to which a float holds integers exactly

@@ -30,7 +30,7 @@ from mjgranular.cli.options import (
 from mjgranular.errors import InputError, MissingExtraError, UnknownNameError, shown
 from mjgranular.experiment import Study, StudyResult, journal_of, run_study
 from mjgranular.experiment.study import ANGLES, Experiment, Value, column_of
-from mjgranular.picture.studies import OUTCOMES, axis_of, draw_study
+from mjgranular.picture.figures import OUTCOMES, axis_of, draw_study
 from mjgranular.pool import UNFINISHED, Journal, Workers
 
 _COMMANDS = {"impact": ImpactCommand, "drop": DropCommand, "intrude": IntrudeCommand}

@@ -16,8 +16,8 @@ from mjgranular.cli.console import err
 from mjgranular.cli.evaluate import find_actor, is_environment
 from mjgranular.cli.options import Flag, option, options_of
 from mjgranular.engine import NAME, add_sand
-from mjgranular.errors import FloorWarning, InputError
-from mjgranular.experiment.drop import Drop, loading, make_ready, read, start_from
+from mjgranular.errors import FloorWarning, InputError, loading
+from mjgranular.experiment.drop import Drop, make_ready, read, start_from
 from mjgranular.experiment.ground import hide_replaced, refuse_floors
 from mjgranular.learn import environments
 from mjgranular.learn.evaluate import FIRST_SEED

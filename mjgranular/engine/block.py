@@ -26,8 +26,8 @@ from mjgranular.engine.instances import plugin_slot
 from mjgranular.engine.tuning import STATE_SIZE
 from mjgranular.kernel import memory
 from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.engine import fields_of, offset_of, read_struct
 from mjgranular.kernel.lanes import aligned
-from mjgranular.kernel.structs import fields_of, offset_of, read_struct
 from mjgranular.sand.binding import bind
 from mjgranular.sand.prepare import PreparedSand
 from mjgranular.scheme import Scheme

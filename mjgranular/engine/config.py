@@ -15,17 +15,15 @@ from typing import Any
 import numpy as np
 
 from mjgranular._util.checks import check_count, check_name
-from mjgranular._util.parse import read_value, split_words
-from mjgranular._util.registry import Registry
+from mjgranular._util.parse import Registry, read_value, split_words
 from mjgranular.errors import GranularError, InputError
 from mjgranular.law import get_law, laws
 from mjgranular.medium import Medium, get_medium, media
 from mjgranular.relief.memory import Memory, as_memory
-from mjgranular.sand.material import medium_for
-from mjgranular.sand.spec import SAND_FIELDS, SandSpec
+from mjgranular.sand.spec import SAND_FIELDS, SandSpec, medium_for
 from mjgranular.scheme import get_scheme, schemes
 from mjgranular.shape.select import names_in
-from mjgranular.surface.choice import surface_of, surfaces
+from mjgranular.surface import surface_of, surfaces
 
 KEYS = (*SAND_FIELDS, "draw", "tunable")
 """Keys of `mjgranular.sand`, in the order in which they are written."""

@@ -10,11 +10,10 @@ from mjgranular.engine.config import DRAWINGS
 from mjgranular.engine.tuning import ACTIVE
 from mjgranular.kernel import memory
 from mjgranular.kernel.compiled import compiled
-from mjgranular.kernel.engine import connect_geom, init_geom
+from mjgranular.kernel.engine import connect_geom, init_geom, record_of
 from mjgranular.kernel.intrinsics import call_step
 from mjgranular.kernel.memory import field, floats, ints, longs, records, row_of, table_at
 from mjgranular.kernel.records import bodies_of, contacts_of
-from mjgranular.kernel.structs import record_of
 from mjgranular.kernel.vector import cross, dot, norm, read_vector, vector, write_vector
 from mjgranular.render.track_kernel import FRAME_DTYPE, canvases
 from mjgranular.surface.surface import PLANE_DTYPE

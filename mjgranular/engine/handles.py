@@ -15,10 +15,9 @@ import numpy as np
 
 from mjgranular.errors import InputError
 from mjgranular.kernel.compiled import compiled
-from mjgranular.kernel.engine import library
+from mjgranular.kernel.engine import library, offset_of
 from mjgranular.kernel.intrinsics import address_of, publish
 from mjgranular.kernel.memory import field, longs, records
-from mjgranular.kernel.structs import offset_of
 
 ROW_DTYPE = np.dtype(
     [

@@ -14,11 +14,9 @@ from mjgranular.law import Law
 from mjgranular.medium import Medium
 from mjgranular.relief.memory import Heights, Memory, as_memory, heights_of
 from mjgranular.relief.relief import place_in_plane
-from mjgranular.sand.material import material_of
 from mjgranular.sand.prepare import geoms_in_sand
-from mjgranular.sand.spec import SandSpec
-from mjgranular.surface import Surface
-from mjgranular.surface.choice import surface_of
+from mjgranular.sand.spec import SandSpec, material_of
+from mjgranular.surface import Surface, surface_of
 
 
 def plugin_slot(name: str) -> int:

@@ -25,9 +25,15 @@ from mjgranular.engine.instances import config_texts, instance_name, plugin_slot
 from mjgranular.engine.looks import look_of_plane, look_of_tracks
 from mjgranular.engine.tuning import NO_TUNINGS, STATE_SIZE, make_tunings
 from mjgranular.errors import InputError
-from mjgranular.kernel.engine import library
+from mjgranular.kernel.engine import (
+    array_size,
+    check_layout,
+    fields_of,
+    library,
+    offset_of,
+    read_struct,
+)
 from mjgranular.kernel.records import NO_PASSIVE_FORCES
-from mjgranular.kernel.structs import array_size, check_layout, fields_of, offset_of, read_struct
 from mjgranular.kernel.threads import LOADER, prepare_in_worker
 from mjgranular.law import laws
 from mjgranular.medium import media
@@ -37,8 +43,7 @@ from mjgranular.render.skin import skin_of
 from mjgranular.sand.prepare import PreparedSand, prepare
 from mjgranular.sand.report import Names
 from mjgranular.scheme import Auto, schemes
-from mjgranular.surface import Plane, Surface
-from mjgranular.surface.choice import surfaces
+from mjgranular.surface import Plane, Surface, surfaces
 
 _KEPT = 32  # images of past models: they cost memory, and save another preparation
 # Inputs of elements, selection, surfaces and prints. Heights of a height field are read live.

@@ -9,8 +9,8 @@ from mjgranular.engine.block import HEADER_DTYPE, header_at
 from mjgranular.engine.draw import add_prints, add_surface, lay_prints
 from mjgranular.errors import InputError
 from mjgranular.kernel.compiled import compiled, entry, program_address
+from mjgranular.kernel.engine import check_layout, offset_of, record_of
 from mjgranular.kernel.memory import row_of
-from mjgranular.kernel.structs import check_layout, offset_of, record_of
 from mjgranular.kernel.vector import read_vector
 from mjgranular.relief.memory import Memory
 from mjgranular.relief.relief import Relief

@@ -20,8 +20,7 @@ from mjgranular.engine.instances import config_texts, instance_name
 from mjgranular.engine.tuning import STATE_SIZE
 from mjgranular.errors import GranularError
 from mjgranular.kernel.compiled import program_address
-from mjgranular.kernel.engine import library
-from mjgranular.kernel.structs import LayoutError, check_layout
+from mjgranular.kernel.engine import LayoutError, check_layout, library
 from mjgranular.kernel.threads import ENGINE, is_main, is_preparing, prepare_in_worker
 from mjgranular.relief.memory import as_memory
 

@@ -15,8 +15,7 @@ from mjgranular.render import add_skin
 from mjgranular.render.material import NOT_SHOWN, add_material, paint
 from mjgranular.sand.spec import SandFields, SandSpec, combined
 from mjgranular.shape.select import names_in
-from mjgranular.surface import Bed, HeightField
-from mjgranular.surface.choice import surface_of
+from mjgranular.surface import Bed, HeightField, surface_of
 
 
 def add_sand(

@@ -21,10 +21,9 @@ from typing import Any
 
 import mujoco
 
-from mjgranular.kernel.engine import library
+from mjgranular.kernel.engine import library, offset_of
 from mjgranular.kernel.intrinsics import load_functions, publish, publish_functions
 from mjgranular.kernel.records import NO_GRAVITY, NO_PASSIVE_FORCES
-from mjgranular.kernel.structs import offset_of
 
 FAIL = "mjgranular_fail"
 """Name of `fail(text)`: raise an error of MuJoCo; does not return."""

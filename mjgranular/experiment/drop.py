@@ -1,10 +1,8 @@
 """A model dropped on, dragged through or placed on sand."""
 
 import math
-import re
 import warnings
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import KW_ONLY, asdict, dataclass
 from pathlib import Path
 from typing import Any, Self
@@ -17,22 +15,21 @@ from mjgranular._util.io import check_regular, checked_fields, place
 from mjgranular.engine import show_prints
 from mjgranular.errors import (
     FloorWarning,
-    GranularError,
     InputError,
     OutputError,
     UnknownNameError,
+    loading,
     shown,
     warn_user,
 )
 from mjgranular.experiment.ground import PlainSand, hide_replaced, refuse_floors, warn_of_carrying
-from mjgranular.experiment.sampling import REST_WINDOW, Recorder, RestWatch
+from mjgranular.experiment.sampling import REST_WINDOW, Recorder, RestWatch, WorkMeter
 from mjgranular.models import robot_path
 from mjgranular.render import TrackRecorder, Tracks
 from mjgranular.render.scenery import add_scenery, place_sun
 from mjgranular.sand import Sand
 from mjgranular.sand.prepare import fitted, geoms_in_sand
 from mjgranular.sand.report import BodyReport
-from mjgranular.sand.work import WorkMeter
 from mjgranular.surface.floors import FloorWatch
 
 LARGEST_STEP = 1e-4
@@ -312,19 +309,6 @@ def load(drop: Drop) -> tuple[mujoco.MjModel, str]:
         hide_replaced(model, drop.sand)
         place_sun(model)
         return model, xml
-
-
-@contextmanager
-def loading(title: object) -> Iterator[None]:
-    """Turn errors of MuJoCo into an `InputError` that names the model."""
-    try:
-        yield
-    except GranularError:
-        raise
-    except (ValueError, OSError, mujoco.FatalError) as error:
-        reason = " ".join(str(error).split())
-        ours = re.search("engine error: mjgranular '[^']*': (.*)", reason)
-        raise InputError(ours[1] if ours else f"MuJoCo cannot load {title}: {reason}") from None
 
 
 def read(drop: Drop) -> mujoco.MjSpec:

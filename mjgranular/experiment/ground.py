@@ -9,8 +9,7 @@ from mjgranular.render.material import NOT_SHOWN
 from mjgranular.sand.prepare import geoms_in_sand
 from mjgranular.sand.spec import SandSpec
 from mjgranular.shape.select import find_all
-from mjgranular.surface import Bed, HeightField, Plane, Surface
-from mjgranular.surface.choice import surface_of
+from mjgranular.surface import Bed, HeightField, Plane, Surface, surface_of
 from mjgranular.surface.floors import CARRIES, WOULD_CARRY, FloorWatch, describe_floors, find_floors
 from mjgranular.surface.place import replace_geoms
 

@@ -10,17 +10,16 @@ import numpy as np
 
 from mjgranular._util.checks import check_finite, check_kind, kind_of
 from mjgranular.errors import InputError, UnstableError, listed, warn_user
-from mjgranular.experiment.sampling import REST_WINDOW, Recorder, RestWatch, StopWatch
+from mjgranular.experiment.sampling import REST_WINDOW, Recorder, RestWatch, StopWatch, WorkMeter
 from mjgranular.experiment.trajectory import Trajectory, degrees
 from mjgranular.law import get_law
 from mjgranular.law.link import DistributedLinkLaw, LinkLaw
 from mjgranular.medium import get_medium
 from mjgranular.models import Projectile
-from mjgranular.models.projectile import Shape
+from mjgranular.models.link import Shape
 from mjgranular.relief.memory import Memory, as_memory
 from mjgranular.render import TrackRecorder, Tracks
 from mjgranular.sand import Sand, SandSpec
-from mjgranular.sand.work import WorkMeter
 from mjgranular.scheme import get_scheme
 
 Until = Literal["stop", "rest"]

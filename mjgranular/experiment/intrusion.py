@@ -9,8 +9,7 @@ import mujoco
 import numpy as np
 
 from mjgranular._util.checks import check_count, check_finite, check_kind, check_name
-from mjgranular.errors import InputError
-from mjgranular.experiment.drop import loading
+from mjgranular.errors import InputError, loading
 from mjgranular.experiment.trajectory import degrees
 from mjgranular.law import get_law
 from mjgranular.medium import get_medium

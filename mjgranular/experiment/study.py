@@ -16,8 +16,8 @@ import numpy as np
 
 from mjgranular._util.checks import check_kind, check_name, is_finite, kind_of
 from mjgranular._util.io import read_file
-from mjgranular.errors import GranularError, InputError, UnknownNameError, shown
-from mjgranular.experiment.drop import Drop, loading, run_drop
+from mjgranular.errors import GranularError, InputError, UnknownNameError, loading, shown
+from mjgranular.experiment.drop import Drop, run_drop
 from mjgranular.experiment.impact import Impact, run_impact
 from mjgranular.experiment.intrusion import Intrusion, run_intrusion
 from mjgranular.experiment.trajectory import degrees

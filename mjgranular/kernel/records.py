@@ -10,7 +10,7 @@ import numpy as np
 
 from mjgranular.kernel import memory
 from mjgranular.kernel.compiled import compiled
-from mjgranular.kernel.structs import check_layout, offset_of, record_of
+from mjgranular.kernel.engine import check_layout, offset_of, record_of
 
 BODY_DTYPE = np.dtype(
     [

@@ -14,12 +14,12 @@ from mjgranular.kernel.vector import Matrix, Vector, diagonal, norm, outer, tran
 from mjgranular.law.kernel import LawKernel
 from mjgranular.law.law import Law, register_law
 from mjgranular.law.validity import Limit
-from mjgranular.shape.blobs import blobs_from_model, support
+from mjgranular.shape.single import blobs_from_model, support
 from mjgranular.surface import Surface
 
 
 class Blob(NamedTuple):
-    """A whole body, body frame (`shape.blobs`)."""
+    """A whole body, body frame (`shape.single`)."""
 
     center: Vector
     axes: Matrix

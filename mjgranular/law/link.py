@@ -34,7 +34,7 @@ _LINK_PAPER = (
 
 
 class Rod(NamedTuple):
-    """A rod or a piece of one, body frame (`shape.rods`)."""
+    """A rod or a piece of one, body frame (`shape.single`)."""
 
     center: Vector
     axis: Vector

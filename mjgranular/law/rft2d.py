@@ -14,7 +14,7 @@ from mjgranular.kernel.vector import vector
 from mjgranular.law.law import constants_of, register_law
 from mjgranular.law.rft import RftLaw
 from mjgranular.medium import Medium, get_medium
-from mjgranular.medium.presets import FOURIER_KEYS, GENERIC_FOURIER
+from mjgranular.medium.file import FOURIER_KEYS, GENERIC_FOURIER
 
 PER_GRAVITY = 1e6 / 9.81  # N/cm^3, as measured at 9.81 m/s^2, in N/m^3 over gravity
 # Horizontal part of the normal below which an element counts as level: of Treers et al.

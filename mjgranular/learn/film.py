@@ -11,7 +11,7 @@ import numpy as np
 
 from mjgranular.errors import InputError, drawing
 from mjgranular.learn import environments
-from mjgranular.learn.agents import Agent
+from mjgranular.learn.evaluate import Agent
 from mjgranular.picture.video import Film
 from mjgranular.picture.viewer import Command
 

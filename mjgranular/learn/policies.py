@@ -12,9 +12,8 @@ from mjgranular._util import files
 from mjgranular._util.checks import check_name
 from mjgranular._util.result_folder import CONFIG
 from mjgranular.errors import OutputError, warn_user
-from mjgranular.learn.checkpoint import Normalizer
+from mjgranular.learn.checkpoint import Normalizer, build_policy, check_spaces, read_weights
 from mjgranular.learn.run import CHECKPOINTS, CURVE, NORMALIZER, POLICY, Run, open_run
-from mjgranular.learn.weights import build_policy, check_spaces, read_weights
 
 SHIPPED = Path(mjgranular.models.__file__).resolve().parent / "policies"
 """Folder of the policies that come with the package, each with the files of `POLICY_FILES`."""

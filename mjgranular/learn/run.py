@@ -15,8 +15,7 @@ from typing import Any, Self
 
 from mjgranular._util import files
 from mjgranular._util.io import fits, is_text, read_json, read_text
-from mjgranular._util.result_folder import CONFIG, TRAINING
-from mjgranular._util.versions import versions
+from mjgranular._util.result_folder import CONFIG, TRAINING, versions
 from mjgranular.errors import GranularError, InputError, OutputError, shown, warn_user
 from mjgranular.learn.sands import Sands, changes, is_sands, sands_made
 from mjgranular.learn.settings import Settings, algorithm_class

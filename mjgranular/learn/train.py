@@ -12,17 +12,15 @@ import numpy as np
 
 from mjgranular._util import files
 from mjgranular._util.checks import require
-from mjgranular._util.result_folder import CONFIG
+from mjgranular._util.result_folder import CONFIG, versions
 from mjgranular._util.signals import kept_signals
-from mjgranular._util.versions import versions
 from mjgranular.errors import GranularError, InputError, shown, warn_user
 from mjgranular.learn import environments
-from mjgranular.learn.checkpoint import Progress, load_checkpoint, write_policy
+from mjgranular.learn.checkpoint import Progress, load_checkpoint, policy_arguments, write_policy
 from mjgranular.learn.policies import load_policy
 from mjgranular.learn.run import CHECKPOINTS, CURVE, NORMALIZER, PACKAGES, POLICY, TENSORBOARD, Run
 from mjgranular.learn.sands import sands_made
 from mjgranular.learn.settings import Settings, algorithm_class, linear_start
-from mjgranular.learn.weights import policy_arguments
 
 if TYPE_CHECKING:
     from mjgranular.learn.callback import Report

@@ -1,6 +1,5 @@
 """Media: densities, grain sizes and, law by law, published constants with sources."""
 
-from mjgranular.medium import presets as presets
 from mjgranular.medium.file import get_medium as get_medium
 from mjgranular.medium.file import media as media
 from mjgranular.medium.file import read_medium as read_medium

@@ -1,7 +1,9 @@
-"""Figures of runs, in the style of the paper."""
+"""Figures of runs, in the style of the paper; of studies, and of fits."""
 
-from collections.abc import Iterator, Sequence
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -9,12 +11,12 @@ import numpy as np
 
 from mjgranular._util.checks import require
 from mjgranular._util.files import atomic_write
+from mjgranular.calibrate import FitResult
 from mjgranular.errors import one_line
 from mjgranular.experiment.trajectory import Trajectory
 
 _BLUE, _OCHRE, _GREY, _RED = "#20567f", "#b8761c", "#8a8a8a", "#b03a2e"
-PALETTE = (_BLUE, _OCHRE, _RED)
-_MOST_CURVES = 8
+_MOST_CURVES, _MOST_OF_A_FIT = 8, 24
 _STYLE = {
     "axes.grid": True,
     "axes.spines.right": False,
@@ -156,3 +158,150 @@ def draw_intrusion(
         if np.abs(moment).max() < 1e-9 * max(np.abs(force).max(), 1e-300):
             axes[1].set_ylim(-1, 1)  # only rounding errors
         axes[1].legend()
+
+
+@dataclass(frozen=True)
+class Axis:
+    """A column of the table, with its label and the unit of the figure in units of the table."""
+
+    column: str
+    label: str
+    scale: float = 1.0
+
+
+OUTCOMES: dict[str, tuple[Axis, Axis]] = {
+    "impact": (
+        Axis("stopping_time", "stopping time [ms]", 1e3),
+        Axis("depth", "depth of T at the stop [mm]", 1e3),
+    ),
+    "drop": (
+        Axis("greatest_depth", "greatest depth [mm]", 1e3),
+        Axis("greatest_force", "greatest force of the sand on a body [N]"),
+    ),
+    "intrusion": (
+        Axis("resistance", "resistance at the end of the path [N]"),
+        Axis("work", "work done on the sand [J]"),
+    ),
+}
+"""The two columns to draw for each experiment."""
+
+_UNITS = {
+    **dict.fromkeys(("speed", "tangential_speed", "velocity"), "m/s"),
+    **dict.fromkeys(("height", "length", "diameter", "size", "depth", "start", "distance"), "m"),
+    **dict.fromkeys(("surface_height", "memory"), "m"),
+    **dict.fromkeys(("density", "medium.density"), "kg/m^3"),
+    **dict.fromkeys(("timestep", "duration"), "s"),
+    "angular_velocity": "rad/s",
+}
+
+
+def axis_of(column: str) -> Axis:
+    """Return the axis of a varied field, by the name of its column."""
+    name = column.removesuffix("_deg")
+    unit = _UNITS.get(column) if name == column else "deg"
+    words = name if name.startswith("law.") else name.replace("_", " ")
+    return Axis(column, words if unit is None else f"{words} [{unit}]")
+
+
+def draw_study(
+    path: Path,
+    columns: Mapping[str, Sequence[Any]],
+    varied: Sequence[str],
+    outcomes: Sequence[Axis],
+    *,
+    title: str = "",
+) -> None:
+    """Draw two outcomes against one varied field, or over a grid of two.
+
+    `columns` are those of the table, with None for missing values; `varied` names one or two.
+    """
+    inputs = [axis_of(name) for name in varied]
+    if len(inputs) == 1:
+        labels = (one.label for one in outcomes)
+        with panels(path, (6.4, 6.0), title, inputs[0].label, *labels) as axes:
+            for axis, outcome in zip(axes, outcomes, strict=True):
+                _draw_line(axis, columns, inputs[0], outcome)
+        return
+    with figure(path, 9.6, 4.2, title) as drawn:
+        axes = drawn.subplots(1, 2, sharey=True)
+        for axis, outcome in zip(axes, outcomes, strict=True):
+            colors = _draw_over(axis, columns, inputs, outcome)
+            drawn.colorbar(colors, ax=axis, label=outcome.label)
+            axis.set_xlabel(inputs[0].label)
+        axes[0].set_ylabel(inputs[1].label)
+
+
+def _draw_line(axes: Any, columns: Mapping[str, Sequence[Any]], x: Axis, y: Axis) -> None:
+    at, names = _places(columns[x.column])
+    values = np.array(columns[y.column], float) * y.scale
+    if names is None:
+        order = np.argsort(at, kind="stable")
+        axes.plot(at[order], values[order], color=_BLUE, marker="o", markersize=3.5)
+    else:
+        axes.scatter(at, values, s=12, color=_BLUE)
+        axes.set_xticks(range(len(names)), names)
+
+
+def _draw_over(
+    axes: Any, columns: Mapping[str, Sequence[Any]], inputs: Sequence[Axis], outcome: Axis
+) -> Any:
+    """Draw colors over the plane of two fields; return the mappable for a color bar."""
+    (x, x_names), (y, y_names) = (_places(columns[one.column]) for one in inputs)
+    values = np.array(columns[outcome.column], float) * outcome.scale
+    rows, across = np.unique(y), np.unique(x)
+    cells = np.full((len(rows), len(across)), np.nan)
+    cells[np.searchsorted(rows, y), np.searchsorted(across, x)] = values
+    drawn = axes.pcolormesh(across, rows, cells, shading="nearest", cmap="viridis")
+    axes.grid(visible=False)
+    for names, put in ((x_names, axes.set_xticks), (y_names, axes.set_yticks)):
+        if names is not None:
+            put(range(len(names)), names)
+    return drawn
+
+
+def _places(values: Sequence[Any]) -> tuple[np.ndarray, list[str] | None]:
+    """Return positions of values on an axis; for names their order, and the names."""
+    if not any(isinstance(value, str) for value in values):
+        return np.array(values, float), None
+    names = list(dict.fromkeys(str(value) for value in values))
+    return np.array([float(names.index(str(value))) for value in values]), names
+
+
+_COLUMNS = {  # factors of SI units, and labels
+    "time": (1e3, "time since the touch [ms]"),
+    "depth": (1e3, "depth [mm]"),
+    "speed": (1.0, "speed [m/s]"),
+    "angle": (1.0, "angle [deg]"),
+    "spin": (1.0, "spin [rad/s]"),
+    "rate": (1.0, "rate [Hz]"),
+    "pitch": (1.0, "pitch [deg]"),
+    "force": (1.0, "force [N]"),
+    "side": (1.0, "side force [N]"),
+    "lift": (1.0, "lift [N]"),
+}
+
+
+def draw_fit(path: Path, result: FitResult) -> None:
+    """Draw every run's curves: measurements as dots, predictions of the fitted law as lines."""
+    curves = [(name, curve) for name, found in result.curves.items() for curve in found]
+    del curves[_MOST_OF_A_FIT:]
+    columns = min(3, len(curves))
+    rows = math.ceil(len(curves) / columns)
+    size = max(6.4, 3.6 * columns), 0.9 + 2.7 * rows
+    constants = ", ".join(f"{name} = {value:.3g}" for name, value in result.values.items())
+    title = f"{result.material.law.name}: {constants}"
+    with figure(path, *size, title) as drawn:
+        grid = drawn.subplots(rows, columns, squeeze=False).ravel()
+        for axes, (name, curve) in zip(grid, curves, strict=False):
+            along, below = _COLUMNS[curve.axis]
+            factor, beside = _COLUMNS[curve.quantity]
+            color, label = (_OCHRE, "predicted") if curve.held_out else (_BLUE, "fitted")
+            places, values = along * curve.places, factor * curve.measured
+            axes.plot(places, values, ".", color=_GREY, markersize=3, label="measured")
+            axes.plot(places, factor * curve.predicted, color=color, label=label)
+            axes.set(xlabel=below, ylabel=beside, title=plain(name))
+            if curve.quantity == "depth":
+                axes.invert_yaxis()
+            axes.legend(loc="best", fontsize="small")
+        for axes in grid[len(curves) :]:
+            axes.set_visible(False)

@@ -15,7 +15,7 @@ import rich
 
 from mjgranular._util.checks import require
 from mjgranular.errors import InputError
-from mjgranular.kernel.structs import offset_of, record_of
+from mjgranular.kernel.engine import offset_of, record_of
 from mjgranular.picture.viewer import Command, Switch
 from mjgranular.render.material import COLOR, MATERIAL, NOT_SHOWN, radius_of, texture_of
 

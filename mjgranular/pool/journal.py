@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from mjgranular._util.io import check_regular
-from mjgranular._util.versions import versions
+from mjgranular._util.result_folder import versions
 from mjgranular.errors import InputError, OutputError
 
 UNFINISHED = "unfinished.jsonl"

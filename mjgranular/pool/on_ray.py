@@ -8,8 +8,8 @@ from contextlib import suppress
 from typing import Any
 
 from mjgranular._util.checks import require
+from mjgranular._util.result_folder import mismatch, versions
 from mjgranular._util.signals import kept_signals
-from mjgranular._util.versions import mismatch, versions
 from mjgranular.errors import InputError
 from mjgranular.pool.workers import Answer, Function, WorkerLostError, Workers, run_task
 

@@ -19,8 +19,7 @@ from mjgranular.law.rft import RftLaw
 from mjgranular.medium.medium import DENSITIES
 from mjgranular.relief.memory import REPOSE, Memory
 from mjgranular.relief.relief import frame_of
-from mjgranular.sand.material import DEFAULT_MEDIUM, law_named_in
-from mjgranular.sand.spec import SandSpec
+from mjgranular.sand.spec import DEFAULT_MEDIUM, SandSpec, law_named_in
 from mjgranular.shape.select import body_name, collides, is_choice, moves
 from mjgranular.shape.sizes import LARGEST, data_at_start, geom_name, half_extents, name_of
 from mjgranular.surface import Bed, Plane, Surface

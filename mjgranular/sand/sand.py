@@ -19,10 +19,15 @@ from mjgranular.relief.grid import TIME
 from mjgranular.relief.memory import Heights, Memory, checked_state, heights_of
 from mjgranular.relief.relief import Relief, place_in_plane
 from mjgranular.sand import advice
-from mjgranular.sand.binding import Binding, bind, find_sand_of_the_model, registry_of
-from mjgranular.sand.changes import Original
-from mjgranular.sand.guard import finish_step, guarded_step
-from mjgranular.sand.prepare import geoms_in_sand, prepare
+from mjgranular.sand.binding import (
+    Binding,
+    bind,
+    find_sand_of_the_model,
+    finish_step,
+    guarded_step,
+    registry_of,
+)
+from mjgranular.sand.prepare import Original, geoms_in_sand, prepare
 from mjgranular.sand.report import Names, Report, Solver, describe
 from mjgranular.sand.spec import SandFields, SandSpec, combined
 from mjgranular.scheme import Scheme

@@ -16,14 +16,15 @@ from functools import partial
 import mujoco
 import numpy as np
 
+from mjgranular.kernel import engine
 from mjgranular.kernel.compiled import compiled
-from mjgranular.kernel.engine import actuator_damping, smooth_derivative
-from mjgranular.kernel.memory import scratch
+from mjgranular.kernel.intrinsics import call_forces
+from mjgranular.kernel.memory import BESIDE, LAW, WORKSPACE, scratch, table_at
 from mjgranular.kernel.motion import Motion, read_motion, write_motion
 from mjgranular.kernel.vector import cross, dot, norm, read_vector, transposed, vector
 from mjgranular.scheme.constraints import add_constraints
 from mjgranular.scheme.dense import add_scaled, clear, copy, inner
-from mjgranular.scheme.metric import add_free_bias, add_metric
+from mjgranular.scheme.forces import FOLLOW, FRESH, LAST, NEXT, RESPOND
 from mjgranular.scheme.workspace import DISCRETE, EULER, IMPLICIT, POLY
 
 _JOINT = np.int32(mujoco.mjtObj.mjOBJ_JOINT)
@@ -51,14 +52,14 @@ def prepare_inertia(w):
         if w.damped != 0:
             read_joint_damping(w)
     elif w.integrator == IMPLICIT:
-        smooth_derivative(w.model, w.data, 1)
+        engine.smooth_derivative(w.model, w.data, 1)
         read_derivative(w, w.dofs)
     elif w.integrator == DISCRETE:
         add_metric(w)
     else:
         # implicitfast omits the derivative of the bias and reads the lower half of the rest; for
         # lone free bodies it uses all of both.
-        smooth_derivative(w.model, w.data, 0)
+        engine.smooth_derivative(w.model, w.data, 0)
         read_derivative(w, w.dofs)
         for i in range(nv):
             for j in range(i):
@@ -83,7 +84,7 @@ def read_joint_damping(w):
         slope = w.dof_damping[j]
         joint = w.dof_jntid[j]
         if w.jnt_actuatorid[joint] != -1:
-            slope += actuator_damping(w.model, _JOINT, joint, poly.ctypes.data)
+            slope += engine.actuator_damping(w.model, _JOINT, joint, poly.ctypes.data)
         power = 1.0
         for k in range(POLY):
             power *= abs(w.qvel[j])
@@ -236,3 +237,149 @@ def add_stiffness(w):
 def block_of(k, first):
     """Return a 3 x 3 block of a 6 x 6 matrix, from its element `first` on."""
     return vector(read_vector(k, first), read_vector(k, first + 6), read_vector(k, first + 12))
+
+
+# The effective metric of MuJoCo's integrator `discrete`, as A. It solves for constraints and
+# velocity at once,
+#
+#     A (v' - v) / h = q + c + q_c,    A = M + h D + h^2 K,    c = -h K v,
+#
+# with damping D and stiffness K of joints, tendons, actuators, fluid and flexes, none of them
+# negative; a is (v' - v) / h itself. Metric, shift c and the rows of the constraints, whose
+# softness depends on the metric, are computed after the actuators' forces, between two functions of
+# MuJoCo's interface. Inverse dynamics is its only other function that computes exactly these.
+
+_AFTER_VELOCITY = int(mujoco.mjtStage.mjSTAGE_VEL)
+_DUAL, _IPC = int(mujoco.mjtSolver.mjSOL_PGS), int(mujoco.mjtEnableBit.mjENBL_IPC)
+
+numbers_of_block = scratch(36)
+
+
+@compiled
+def is_unsupported(integrator, solver, enableflags):
+    """Return True if the options change this integrator's step from the one above.
+
+    The dual solver needs quantities that the engine computes for no other solver, and the flag
+    `ipc` has its own steps.
+    """
+    return integrator == DISCRETE and (solver == _DUAL or enableflags & _IPC != 0)
+
+
+@compiled
+def make_metric(w):
+    """Have the engine compute the metric of this step; read the shift c.
+
+    The engine's solvers need the metric factored, which inverse dynamics omits; it is done here.
+    """
+    model, data, shift = w.model, w.data, w.shift
+    if w.within != 0:  # it follows passive forces in the step
+        engine.metric_shift(model, data)
+    engine.inverse_dynamics(model, data, _AFTER_VELOCITY, 1)
+    if w.factored == 0 and w.efm_diag.ctypes.data != 0:
+        factors, inverse = w.qH.ctypes.data, w.qHDiagInv.ctypes.data
+        counts, rows, columns = w.M_rownnz.ctypes, w.M_rowadr.ctypes, w.M_colind.ctypes
+        engine.factor_inertia(factors, inverse, w.nv, counts.data, rows.data, columns.data, 0)
+    clear(shift)
+    if w.efm_c.ctypes.data != 0:
+        add_scaled(shift, 1.0, w.efm_c)
+    if w.efm_ca.ctypes.data != 0:
+        add_scaled(shift, 1.0, w.efm_ca)
+
+
+@compiled
+def add_metric(w):
+    """Add the metric's terms to A, which is M.
+
+    Free bodies that carry no joint and that nothing else touches have an implicit gyroscopic
+    moment, without symmetry.
+    """
+    unit, inertia = w.trial, w.inertia
+    clear(unit)
+    for j in range(w.nv):
+        unit[j] = 1.0
+        row = inertia[j]
+        engine.add_metric_product(w.model, w.data, row.ctypes.data, unit.ctypes.data, 1)
+        unit[j] = 0.0
+    for k in range(0, w.nlone, 6):
+        if engine.turns_freely(w.model, w.data, w.dof_jntid[w.lone_dofs[k]]) != 0:
+            add_free_bias(w, inertia, w.lone_dofs[k])
+
+
+@compiled
+def add_free_bias(w, matrix, first):
+    """Add h times the derivative of a free body's bias forces; `first` is its first row."""
+    block = numbers_of_block()
+    engine.free_bias_derivative(w.model, w.data, w.dof_jntid[first], block.ctypes.data)
+    for i in range(6):
+        for j in range(6):
+            matrix[first + i, first + j] += w.h * block[6 * i + j]
+
+
+# Residual and Jacobian with the sand's forces at a velocity. Three programs are each compiled once:
+# one for each law and kind of surface finds the elements in the sand (`sampling`), one for each law
+# has their forces (`forces`), and all the rest of the scheme calls these by address.
+
+
+@compiled
+def call_laws(table, w, task, eps, update, loose):
+    """Set the wrenches of all sands that act together by a task of their laws, and the derivatives.
+
+    `FOLLOW` keeps the derivatives. Return the greatest result.
+    """
+    for b in range(w.nbody):
+        clear(w.wrench[b])
+        if task != FOLLOW:
+            clear(w.stiffness[b])
+    most, address = 0.0, table.ctypes.data
+    while address != 0:
+        sand = table_at(address)
+        result = call_forces(sand[LAW], address, table[WORKSPACE], task, eps, update, loose)
+        most = max(most, result)
+        address = sand[BESIDE]
+    return most
+
+
+@compiled
+def evaluate(table, w, task, eps, update, loose):
+    """Set residual and Jacobian at `w.velocity`, and the forces on elements in their tiles.
+
+    The task is `RESPOND`, or `DAMP` for secants of forces in the Jacobian instead of derivatives;
+    `eps` is the softness [m/s]. `update` is the origin of multipliers: `NEXT`, those after a Newton
+    step to this velocity; `FRESH` and `SAME` as for a `Search`, whose `loose` is given too. Return
+    the size of the residual, and the greatest mismatch.
+    """
+    find_motions(w, w.velocity)
+    mismatch = call_laws(table, w, task, eps, update, loose)
+    sum_wrenches(w)
+    error, of_losses = balance(w, update)
+    add_stiffness(w)
+    return error, max(mismatch, of_losses)
+
+
+@partial(compiled, merge=True)
+def evaluate_last(table, w, eps):
+    """Set residual and Jacobian at `w.velocity`, with forces linearized at the motions in `w`.
+
+    With `find_last_motions` these are the last step's, and the multipliers too. Return the size of
+    the residual, the greatest mismatch and the greatest turn (`law.kernel`).
+    """
+    mismatch = call_laws(table, w, RESPOND, eps, FRESH, eps)
+    find_motions(w, w.velocity)
+    turn = call_laws(table, w, FOLLOW, eps, LAST, 0.0)
+    sum_wrenches(w)
+    error, of_losses = balance(w, FRESH)
+    add_stiffness(w)
+    return error, max(mismatch, of_losses), turn
+
+
+@compiled
+def follow_all(table, w, eps):
+    """Set the residual at `w.velocity` with forces extrapolated by the Jacobian.
+
+    These replace the forces that `evaluate` computed at the velocity before. Return the size of the
+    residual, and the greatest turn (`law.kernel`).
+    """
+    find_motions(w, w.velocity)
+    turn = call_laws(table, w, FOLLOW, eps, NEXT, 0.0)
+    sum_wrenches(w)
+    return balance(w, NEXT)[0], turn

@@ -5,8 +5,7 @@ from typing import ClassVar
 
 import mujoco
 
-from mjgranular._util.parse import read_part
-from mjgranular._util.registry import Registry
+from mjgranular._util.parse import Registry, read_part
 from mjgranular.scheme.explicit import Explicit
 from mjgranular.scheme.implicit import Implicit
 from mjgranular.scheme.scheme import Scheme, SchemeChoice

@@ -1,5 +1,6 @@
 """Forces on tiles of elements, their derivatives, and their sums per body."""
 
+import math
 from functools import cache, partial
 from typing import Any, NamedTuple
 
@@ -10,10 +11,19 @@ from mjgranular.kernel.fields import column, rows
 from mjgranular.kernel.lanes import total_of
 from mjgranular.kernel.memory import SCENE, WORKSPACE, held, records, table_at
 from mjgranular.kernel.motion import read_motion, velocity_at
-from mjgranular.kernel.vector import Matrix, Vector, cross, diagonal, dot, norm, vector
+from mjgranular.kernel.vector import (
+    Matrix,
+    Vector,
+    across,
+    cross,
+    diagonal,
+    dot,
+    norm,
+    outer,
+    vector,
+)
 from mjgranular.law.kernel import LawKernel
 from mjgranular.law.multiplier import multiplier_of
-from mjgranular.law.secant import secant
 from mjgranular.scheme import layout
 from mjgranular.scheme.added import added_kernel, kink_kernel
 from mjgranular.scheme.workspace import workspace_at
@@ -173,7 +183,7 @@ def force_kernel(kernel: LawKernel) -> Any:
 def damp_kernel(kernel: LawKernel) -> Any:
     """Make the kernel `damp(tile, law, g, eps)`: `respond` with secants in place of derivatives.
 
-    See `law.secant`. Multipliers must be those of the velocities.
+    See `secant`. Multipliers must be those of the velocities.
     """
     resist, lanes = resistance_kernel(kernel), kernel.lanes
     read, slopes = column(Vector, lanes).read, column(Matrix, lanes)
@@ -341,3 +351,37 @@ def forces_program(kernel: LawKernel, law_dtype: np.dtype) -> Any:
         return most
 
     return forces
+
+
+# The secant of a force: damping that equals it at one velocity, and dissipates at any other.
+# docs/scheme.md, "Damping", has the formula of the secant Z, for which Z v = -F(v). Both engines
+# use it (`scheme.newton`, `warp.damping`).
+
+# A force nearly perpendicular to the motion has no secant; its power counts as at least this share
+# of |F| |v|. Chosen.
+_LEAST_POWER = 0.02
+
+
+@partial(compiled, inline=True)
+def secant(force, slope, u):
+    """Return Z of a force F / |v| [N s/m] that moves along u = v / |v|.
+
+    The slope is minus the force's derivative by the velocity, a matrix [N s/m].
+    """
+    size, power = norm(force), -dot(force, u)
+    resists = power > 0.0
+    inverse = 1.0 / max(power, _LEAST_POWER * size) if resists else 0.0
+    least = size if resists else 0.0
+    # Y by its two eigenvalues.
+    a = across(u)
+    b = cross(u, a)
+    by_a, by_b = slope @ a, slope @ b
+    aa, bb, ab = dot(a, by_a), dot(b, by_b), 0.5 * (dot(a, by_b) + dot(b, by_a))
+    middle, half = 0.5 * (aa + bb), 0.5 * (aa - bb)
+    radius = math.sqrt(half * half + ab * ab)
+    first, second = max(middle + radius, least), max(middle - radius, least)
+    middle = 0.5 * (first + second)
+    part = 0.5 * (first - second) / radius if radius > 0.0 else 0.0
+    aa, bb, ab = middle + part * half, middle - part * half, part * ab
+    turn = outer(aa * a + ab * b, a) + outer(ab * a + bb * b, b)
+    return outer(inverse * force, force) + turn

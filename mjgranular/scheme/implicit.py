@@ -33,12 +33,11 @@ from mjgranular.kernel.memory import BESIDE, LAW, SAMPLING, WORKSPACE, table_at
 from mjgranular.kernel.records import bodies_of, contacts_of, options_at
 from mjgranular.kernel.vector import cross, dot, norm, read_vector, write_vector
 from mjgranular.law.kernel import LawKernel
-from mjgranular.scheme.balance import prepare_inertia
+from mjgranular.scheme.balance import is_unsupported, make_metric, prepare_inertia
 from mjgranular.scheme.constraints import prepare_constraints
 from mjgranular.scheme.dense import add_scaled, clear, copy, inner
 from mjgranular.scheme.forces import SAME, SUM, forces_program
 from mjgranular.scheme.layout import FORCE, INDEX, VELOCITY
-from mjgranular.scheme.metric import is_unsupported, make_metric
 from mjgranular.scheme.passivity import passive_share
 from mjgranular.scheme.sampling import sampling_program
 from mjgranular.scheme.scheme import BAD_METRIC, FINE, Scheme, Workspace, check_options

@@ -6,7 +6,7 @@ Where elements hold, Newton's method starts from what each mobilized in the last
 velocities at its end still have: P / L = v / sqrt(v^2 + eps^2). These are seen in that step's
 configuration (`balance.find_last_motions`); in today's they are disturbed by joints that turn.
 Newton's method finds nearly all velocities. Where it fails, forces are treated as damping
-(`scheme.damping`), from which it starts over, and then the solution is followed from soft forces to
+(`newton.damp`), from which it starts over, and then the solution is followed from soft forces to
 hard ones (`continuation`).
 """
 
@@ -19,11 +19,10 @@ from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.memory import BESIDE, WORKSPACE, table_at
 from mjgranular.kernel.vector import cross, norm, read_vector, vector
 from mjgranular.scheme.balance import find_last_motions, find_motions
-from mjgranular.scheme.damping import DAMPINGS, damp
 from mjgranular.scheme.dense import copy
 from mjgranular.scheme.forces import FRESH, LAST, SAME
 from mjgranular.scheme.layout import ARM
-from mjgranular.scheme.newton import Search, newton
+from mjgranular.scheme.newton import DAMPINGS, Search, damp, newton
 from mjgranular.scheme.workspace import workspace_at
 
 # The softness of rest [m/s]: a body held for a year moves 0.03 mm at 0.7 of its limit. Added to it

@@ -12,11 +12,9 @@ import mujoco
 import numpy as np
 
 from mjgranular.kernel.compiled import compiled
-from mjgranular.kernel.engine import is_sparse
-from mjgranular.kernel.memory import ints, longs
+from mjgranular.kernel.engine import check_layout, is_sparse, offset_of, record_of
+from mjgranular.kernel.memory import Views, ints, longs, views_at
 from mjgranular.kernel.records import options_at
-from mjgranular.kernel.structs import check_layout, offset_of, record_of
-from mjgranular.kernel.views import Views, views_at
 from mjgranular.law.kernel import LawKernel
 from mjgranular.scheme.layout import HEAD_DTYPE, tile_size
 from mjgranular.scheme.scheme import Workspace

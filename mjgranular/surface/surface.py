@@ -3,7 +3,7 @@
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass, fields
 from functools import cache, partial
 from itertools import product
 from typing import Any, ClassVar
@@ -11,7 +11,8 @@ from typing import Any, ClassVar
 import mujoco
 import numpy as np
 
-from mjgranular._util.checks import check_finite, check_records
+from mjgranular._util.checks import check_finite, check_records, kind_of
+from mjgranular._util.parse import Registry, read_part
 from mjgranular.errors import InputError
 from mjgranular.kernel.compiled import check_compiled, compiled, entry
 from mjgranular.kernel.memory import records
@@ -362,3 +363,34 @@ class HeightField(Surface):
             dx = np.diff(heights, axis=1) / (2 * field["half_x"] / (field["columns"] - 1))
         corners = [np.hypot(x, y) for x in (dx[:-1], dx[1:]) for y in (dy[:, :-1], dy[:, 1:])]
         return math.atan(np.max(corners)) + tilt_of(field["axes"].reshape(3, 3)[:, 2], model)
+
+
+surfaces: Registry[type[Surface]] = Registry("surface")
+"""Classes of surfaces by the names that MJCF and strings use; `surfaces.add` adds a custom one."""
+
+surfaces.add("plane", Plane)
+surfaces.add("bed", Bed)
+surfaces.add("height_field", HeightField)
+
+
+def surface_of(surface: Any) -> Surface:
+    """Return a surface, one parsed from words, or z = 0 for None.
+
+    Words are `plane height= slope= uphill=`, `bed geom=`, `height_field geom=`.
+    """
+    if surface is None:
+        return Plane()
+    if isinstance(surface, Surface):
+        return surface
+    if not isinstance(surface, str):
+        meant = "Plane(height=...), Bed('geom') or HeightField('geom')"
+        raise InputError(f"a surface is needed, not {kind_of(surface)}; use {meant}")
+    cls, given = read_part(surface, surfaces, "surface")
+    options: Any = fields(cls)  # pyright: ignore[reportArgumentType]
+    missing = [f.name for f in options if f.default is MISSING and f.name not in given]
+    if missing:
+        name = surface.split(maxsplit=1)[0]
+        raise InputError(
+            f"the surface {name!r} needs {missing[0]}=..., such as '{name} {missing[0]}=NAME'"
+        )
+    return cls(**given)

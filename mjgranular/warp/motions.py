@@ -1,7 +1,7 @@
 """Bodies in the sand: records, motions, 6 x 6 damping matrices; the damping C of an element.
 
 C is the secant at the predicted velocity v: if that is the velocity at the end of the step, the
-force -C v is the law's own (`law.secant`).
+force -C v is the law's own (`scheme.forces.secant`).
 """
 
 # Kernels are written in Warp's language, which Python type checkers do not understand.
@@ -18,7 +18,7 @@ import warp as wp
 from mjgranular.kernel import motion
 from mjgranular.law.kernel import LawKernel
 from mjgranular.law.multiplier import TWO_LIMITS, softened
-from mjgranular.law.secant import secant
+from mjgranular.scheme.forces import secant
 from mjgranular.warp.grid import struct
 from mjgranular.warp.translate import struct_of, translated
 

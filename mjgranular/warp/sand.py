@@ -16,12 +16,10 @@ from mjgranular.medium import Medium, get_medium
 from mjgranular.relief.footprint import fitting
 from mjgranular.relief.memory import Heights, as_memory
 from mjgranular.relief.relief import Relief, place_in_plane
-from mjgranular.sand.changes import Original
-from mjgranular.sand.prepare import choose_sand, remembering
+from mjgranular.sand.prepare import Original, choose_sand, remembering
 from mjgranular.sand.spec import SandFields, SandSpec, combined
 from mjgranular.scheme import Auto, Implicit, get_scheme
 from mjgranular.warp import damping, fit, translate
-from mjgranular.warp.constraints import Constraints
 from mjgranular.warp.memory import WarpMemory
 from mjgranular.warp.motions import Damping, Slot
 from mjgranular.warp.translate import to_device
@@ -165,7 +163,7 @@ class WarpSand:
         self.force, self.moment = state.force, state.moment
         self.strength, self.density = (wp.ones(n, dtype=float, device=device) for _ in range(2))
         self.height = wp.zeros(n, dtype=float, device=device)
-        self._constraints = Constraints(d)
+        self._constraints = damping.Constraints(d)
         self._control_before, self._sensor_before = m.callback.control, m.callback.sensor
         m.callback.control, m.callback.sensor = self._on_control, self._on_sensor
         m.has_fluid = True  # else MuJoCo Warp ignores the damping

@@ -21,8 +21,8 @@ from mjgranular.errors import (
     UnstableError,
 )
 from mjgranular.kernel import compiled
-from mjgranular.kernel.compiler import KernelError
-from mjgranular.kernel.structs import LayoutError
+from mjgranular.kernel.compiled import KernelError
+from mjgranular.kernel.engine import LayoutError
 from mjgranular.kernel.vector import Vector, diagonal
 from mjgranular.models import Link, model_path
 

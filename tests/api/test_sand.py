@@ -13,7 +13,7 @@ import pytest
 
 from mjgranular import Bed, GranularWarning, InputError, Sand, UnstableError
 from mjgranular.errors import warn_user
-from mjgranular.sand.guard import Snapshot, save_snapshot
+from mjgranular.sand.binding import Snapshot, save_snapshot
 
 pytestmark = pytest.mark.filterwarnings("ignore::mjgranular.errors.FloorWarning")
 

@@ -839,8 +839,8 @@ def test_a_model_without_joints_is_refused_in_words() -> None:
 @pytest.mark.parametrize(
     "mischief",
     [
-        'structs.fields_of("mjModel").pop("nq"); structs.record_of.cache_clear()',
-        'structs.STRUCTS = {"mjOption": structs.STRUCTS["mjOption"]}',
+        'engine.fields_of("mjModel").pop("nq"); engine.record_of.cache_clear()',
+        'engine.STRUCTS = {"mjOption": engine.STRUCTS["mjOption"]}',
     ],
     ids=["moved", "gone"],
 )
@@ -848,7 +848,7 @@ def test_a_struct_that_cannot_be_read_is_told(mischief: str) -> None:
     code = """
 import logging, mujoco
 import mjgranular.engine
-from mjgranular.kernel import structs
+from mjgranular.kernel import engine
 MISCHIEF
 from mjgranular import Sand
 from mjgranular.models import Link
@@ -872,7 +872,7 @@ print("stepped")
 
 def test_a_plugin_of_another_make_is_not_registered(monkeypatch: pytest.MonkeyPatch) -> None:
     from mjgranular.engine import plugin
-    from mjgranular.kernel.structs import LayoutError
+    from mjgranular.kernel.engine import LayoutError
 
     monkeypatch.setattr(plugin, "_refused", [])
     monkeypatch.setattr(plugin, "_PLUGINS", (plugin.Plugin("mjgranular.other", (), 1),))

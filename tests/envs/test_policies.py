@@ -11,8 +11,7 @@ import pytest
 from mjgranular.envs.single import SandEnv
 from mjgranular.envs.velocity import G1Velocity, Go1Velocity, Go2Velocity
 from mjgranular.learn import environments
-from mjgranular.learn.agents import Agent, make_baseline
-from mjgranular.learn.evaluate import FIRST_SEED
+from mjgranular.learn.evaluate import FIRST_SEED, Agent, make_baseline
 from mjgranular.learn.policies import POLICY_FILES, load_policy, shipped_policies
 
 # Another MuJoCo than the one they were trained with is warned of; what they do is to be the same.

@@ -11,7 +11,7 @@ import pytest
 
 from mjgranular import InputError, Rft3dLaw, UnknownNameError, media, register_medium
 from mjgranular.envs import SandEnv, SandRanges, SandVectorEnv, on_sand, tasks
-from mjgranular.envs.dunes import DUNES, Dunes
+from mjgranular.envs.ground import DUNES, Dunes
 from mjgranular.envs.gym_robots import Hopper
 from mjgranular.envs.ids import id_of
 from mjgranular.medium.file import EXAMPLE

@@ -16,7 +16,7 @@ from numba import config
 
 from mjgranular.errors import GranularWarning
 from mjgranular.kernel import cache
-from mjgranular.kernel.compiler import KernelError, compiling
+from mjgranular.kernel.compiled import KernelError, compiling
 
 CODE = bytes(range(256)) * 3
 BUILD, NAME = "build", "program"

@@ -7,7 +7,7 @@ import sys
 import pytest
 
 CHECK = """
-from mjgranular.kernel.structs import check_layout
+from mjgranular.kernel.engine import check_layout
 for struct in ("mjOption", "mjModel", "mjData", "mjvGeom"):
     check_layout(struct)
 """

@@ -17,8 +17,8 @@ from mjgranular import Implicit, Sand
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.memory import WORKSPACE, table_at
 from mjgranular.kernel.vector import read_matrix, read_vector, write_vector
-from mjgranular.law.secant import secant
 from mjgranular.scheme.balance import find_last_motions
+from mjgranular.scheme.forces import secant
 from mjgranular.scheme.workspace import workspace_at
 
 ASSETS = Path(mujoco_env.__file__).parent / "assets"

@@ -29,7 +29,7 @@ from mjgranular.law.facet import FacetSample
 from mjgranular.models import Link
 from mjgranular.sand.prepare import prepare
 from mjgranular.scheme import Implicit
-from mjgranular.scheme.evaluation import evaluate
+from mjgranular.scheme.balance import evaluate
 from mjgranular.scheme.forces import FRESH, RESPOND
 from mjgranular.scheme.workspace import workspace_at
 

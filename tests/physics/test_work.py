@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from mjgranular import Sand
-from mjgranular.sand.work import WorkMeter
+from mjgranular.experiment.sampling import WorkMeter
 
 BLOCK = """
 <mujoco>

@@ -30,9 +30,8 @@ from mjgranular.errors import (
     OutputError,
     UnknownNameError,
 )
-from mjgranular.learn.agents import make_baseline
 from mjgranular.learn.checkpoint import Normalizer
-from mjgranular.learn.evaluate import evaluate, mean_of, parse_variant, run_episodes
+from mjgranular.learn.evaluate import evaluate, make_baseline, mean_of, parse_variant, run_episodes
 from mjgranular.learn.policies import POLICY_FILES, load_policy
 from mjgranular.learn.run import Run, begin_run, mean_returns, open_run
 from mjgranular.learn.settings import (

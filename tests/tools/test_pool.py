@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from mjgranular._util.versions import mismatch, versions
+from mjgranular._util.result_folder import mismatch, versions
 from mjgranular.cli import main
 from mjgranular.errors import InputError, MissingExtraError, OutputError, UnknownNameError
 from mjgranular.pool import UNFINISHED, Journal, Workers, map_tasks

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from mjgranular._util.versions import versions
+from mjgranular._util.result_folder import versions
 from mjgranular.envs.rllib import register_env
 from mjgranular.errors import InputError, MissingExtraError
 from mjgranular.experiment import Impact, Study, journal_of, run_study

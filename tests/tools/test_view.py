@@ -21,7 +21,7 @@ from mjgranular.cli import main
 from mjgranular.cli.view import ViewCommand
 from mjgranular.engine.instances import sands_in
 from mjgranular.learn import environments
-from mjgranular.learn.agents import make_baseline
+from mjgranular.learn.evaluate import make_baseline
 from mjgranular.learn.film import Live
 from mjgranular.picture import viewer
 from mjgranular.picture.viewer import FRAME, Switch, check_display, follow
