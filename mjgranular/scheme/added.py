@@ -12,7 +12,18 @@ from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.fields import column, rows
 from mjgranular.kernel.lanes import choose
 from mjgranular.kernel.motion import read_motion, velocity_at
-from mjgranular.kernel.vector import Matrix, Vector, dot, norm, outer, transposed, vector
+from mjgranular.kernel.vector import (
+    Matrix,
+    Vector,
+    cross,
+    dot,
+    norm,
+    outer,
+    read_vector,
+    transposed,
+    vector,
+    write_vector,
+)
 from mjgranular.law.kernel import LawKernel
 from mjgranular.scheme.dense import add_scaled, clear
 from mjgranular.scheme.layout import ARM, FORCE, SAMPLE, SLACK, SLOPE, VELOCITY, added_row
@@ -35,10 +46,24 @@ def one_of(mask, a, b):
 
 
 @partial(compiled, inline=True)
-def momentum_of(sand, v, h):
-    """Return the `Momentum` of moving sand (`AddedMass`) for an element's initial velocity."""
+def momentum_of(sand, v, drift, h):
+    """Return the `Momentum` of moving sand (`AddedMass`) for an element's initial velocity.
+
+    The velocities that the step finds are beside the true ones by the `drift` of its tree.
+    """
     s = max(dot(sand.normal, v), 0.0)
-    return Momentum(sand.normal, sand.mass / h, sand.before * s / h)
+    start = sand.before * s + sand.mass * dot(sand.normal, drift)
+    return Momentum(sand.normal, sand.mass / h, max(start, 0.0) / h)
+
+
+@partial(compiled, inline=True)
+def drift_of(spin, h):
+    """Return by how much turning moves a tree's center beside its frame's origin in a step [m/s].
+
+    `spin` is the motion of the tree by the rotations of its free joint. What that adds to the
+    velocity of the origin in a step of h [s], so that the center goes straight, moves no sand.
+    """
+    return -h * cross(spin.angular, spin.linear)
 
 
 @partial(compiled, inline=True)
@@ -67,12 +92,14 @@ def share_after_turn(now, before):
 def motion_before_turn(w, body):
     """Set the motion of a body at present velocities, with the axes of the last step's start.
 
+    Also the drift of its tree (`drift_of`), which is subtracted.
+
     Joint velocities are those that the last step moved with. `cdof_dot` gives the rate of change of
     the joint axes, so that a normal and a point's velocity, both fixed to the body, had the product
     n.(V + W x r) with this motion one step ago, to first order in the time step.
     """
-    motion = w.before[body]
-    clear(motion)
+    motion, spin = w.before[body, :6], w.before[body, 6:]
+    clear(w.before[body])
     k = body
     while k > 0 and w.body_dofnum[k] == 0:
         k = w.body_parentid[k]
@@ -80,7 +107,12 @@ def motion_before_turn(w, body):
     while j >= 0:
         add_scaled(motion, w.qvel[j], w.cdof[j])
         add_scaled(motion, -w.h * w.qvel[j], w.cdof_dot[j])
+        if w.dof_spins[j] != 0:
+            add_scaled(spin, w.qvel[j], w.cdof[j])
         j = w.dof_parentid[j]
+    drift = drift_of(read_motion(spin, 0), w.h)
+    write_vector(spin, 0, drift)
+    write_vector(motion, 3, read_vector(motion, 3) - drift)
 
 
 @cache
@@ -99,12 +131,13 @@ def momentum_kernel(kernel: LawKernel) -> Any:
         if is_first:
             motion_before_turn(w, body)
         before, weld, h = read_motion(w.before[body], 0), w.body_weldid[body], w.h
+        drift = read_vector(w.before[body], 6)
         for lane in range(lanes):
             v = read(tile, VELOCITY * lanes + lane)
             sand = added(read_sample(tile, SAMPLE * lanes + lane), v, h)
             s = max(dot(sand.normal, v), 0.0)
             had = max(dot(sand.normal, velocity_at(before, read(tile, ARM * lanes + lane))), 0.0)
-            write(tile, first + lane, momentum_of(sand, v, h))
+            write(tile, first + lane, momentum_of(sand, v, drift, h))
             if lane < live:
                 w.energy[weld, 0] += sand.before * s * s
                 w.energy[weld, 1] += sand.before * had * had

@@ -136,7 +136,8 @@ _OWN = {
     "touched": (_I, ("nv",)),  # 1 if a constraint touches the degree of freedom
     "springs": (_F, ("nv", "nv")),  # stiffness of constraints
     "motion": (_F, ("nbody", 6)),  # spatial velocities of bodies
-    "before": (_F, ("nbody", 6)),  # the same at the start of the last step (`scheme.added`)
+    # The same at the start of the last step, and drift; 3 more for the spin (`scheme.added`).
+    "before": (_F, ("nbody", 12)),
     # Twice the energy of a rigid body's sand at the start of the step: now, and before it turned.
     "energy": (_F, ("nbody", 2)),
     "wrench": (_F, ("nbody", 6)),  # about the center of the tree: moment, force
@@ -146,6 +147,7 @@ _OWN = {
     "friction": (_F, ("nfriction", 2)),  # of friction losses: acceleration and multiplier
     "dofs": (_I, ("nv",)),  # 0, 1, 2, ...
     "lone_dofs": (_I, ("nlone",)),
+    "dof_spins": (_I, ("nv",)),  # 1 for the rotations of free joints
     "heads": (HEAD_DTYPE, ("tile_count",)),  # of tiles: body, live lanes
     "tiles": (_F, ("tile_count", "tile_size")),
     "statistics": ([(field.name, field.type) for field in fields(Solver)], (1,)),
@@ -189,6 +191,7 @@ def make_workspace(
     }
     own["dofs"][:] = np.arange(model.nv)
     own["lone_dofs"][:] = lone
+    own["dof_spins"][:] = spins(model)
     check_layout("mjData")
     own["offsets"][:] = [offset_of("mjData", name) for name in _OFFSETS]
     arrays = own | {name: getattr(model, name) for name in _OF_MODEL}
@@ -198,6 +201,27 @@ def make_workspace(
     for name, array in arrays.items():
         record[name] = array.ctypes.data
     return Workspace(record, own, own["statistics"])
+
+
+def spins(model: mujoco.MjModel) -> np.ndarray:
+    """Return which degrees of freedom turn a tree that can go wherever they move its center.
+
+    They are the rotations of a free joint, or of hinges or a ball after slides of the same body.
+    """
+    found = np.zeros(model.nv, bool)
+    for body in np.unique(model.body_rootid[model.dof_bodyid]):
+        joints = model.body_jntadr[body] + np.arange(model.body_jntnum[body])
+        kinds, axes = model.jnt_type[joints], model.jnt_axis[joints]
+        slides = np.cumprod(kinds == mujoco.mjtJoint.mjJNT_SLIDE).astype(bool)
+        hinges = ~slides & (kinds == mujoco.mjtJoint.mjJNT_HINGE)
+        ways = np.linalg.matrix_rank(axes[slides]) if slides.any() else 0
+        planar = ways == 2 and np.abs(axes[hinges] @ axes[slides].T).max(initial=0.0) < 1e-9
+        if kinds[:1] == mujoco.mjtJoint.mjJNT_FREE:
+            found[model.jnt_dofadr[joints[0]] + np.arange(3, 6)] = True
+        elif ways == 3 or (planar and (slides | hinges).all()):
+            end = model.body_dofadr[body] + model.body_dofnum[body]
+            found[model.body_dofadr[body] + slides.sum() : end] = True
+    return found
 
 
 def lone_free_dofs(model: mujoco.MjModel) -> np.ndarray:

@@ -22,7 +22,7 @@ import mujoco_warp as mjw
 import warp as wp
 
 from mjgranular.law.kernel import LawKernel, Level, Pose
-from mjgranular.scheme.added import momentum_of, most_given, share_after_turn
+from mjgranular.scheme.added import drift_of, momentum_of, most_given, share_after_turn
 from mjgranular.scheme.newton import prolonged
 from mjgranular.warp.grid import in_any_world, in_world, struct
 from mjgranular.warp.motions import (
@@ -32,6 +32,7 @@ from mjgranular.warp.motions import (
     about,
     added_to,
     bounded,
+    motion_by,
     motion_of,
     moved,
     resistance_of,
@@ -94,7 +95,7 @@ State = struct(
 _Pose, _Level = struct_of(Pose), struct_of(Level)
 prolonged_by = translated(prolonged)
 momentum_of_sand, share_of_speed = translated(momentum_of), translated(share_after_turn)
-bound_of = translated(most_given)
+bound_of, drift_by = translated(most_given), translated(drift_of)
 
 
 @functools.cache
@@ -175,9 +176,12 @@ def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any, remem
             soft = wp.max(eps, state.limit[world, s] / bound)
         old = now  # the motion before the body's rotation changed
         slower = float(1.0)  # not yet known
+        drift = wp.vec3()
         if wp.static(adds_mass):
             turn = motion_of(slot, tables.chain, cdof_dot, qvel, world)
-            old = WarpMotion(now.angular - h * turn.angular, now.linear - h * turn.linear)
+            spin = motion_by(slot.spin, slot.chain, tables.chain, cdof, qvel, world)
+            drift = drift_by(spin, h)
+            old = WarpMotion(now.angular - h * turn.angular, now.linear - h * turn.linear - drift)
             if not first:
                 slower = state.share[world, s]
         has, had = float(0.0), float(0.0)  # energies of the body's moving sand
@@ -219,7 +223,7 @@ def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any, remem
                     speed_old = wp.max(wp.dot(n, velocity_at(old, arm)), 0.0)
                     has += mass.before * speed_now * speed_now
                     had += mass.before * speed_old * speed_old
-                    moved_along = momentum_of_sand(mass, start, h)
+                    moved_along = momentum_of_sand(mass, start, drift, h)
                     rate, began = dense * moved_along.rate, slower * dense * moved_along.start
                     c, kicked = _with_momentum(c, tangent, kicked, n, rate, began, v, last)
                 else:

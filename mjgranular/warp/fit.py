@@ -8,6 +8,7 @@ import numpy as np
 from mjgranular._util.checks import check_kind
 from mjgranular.errors import InputError
 from mjgranular.relief.relief import Relief, frame_of
+from mjgranular.scheme.workspace import spins
 from mjgranular.shape.select import last_dof
 from mjgranular.surface import Bed, HeightField, Plane, Surface
 from mjgranular.warp.motions import SLOT_DTYPE
@@ -22,7 +23,8 @@ _SAME = ("nv", "nbody", "njnt", "ngeom", "geom_contype", "geom_conaffinity", *_S
 def slots_of(model: mujoco.MjModel, elements: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """List the bodies in the sand (`SLOT_DTYPE`) and the degrees of freedom that move each.
 
-    These, which the records index, come body by body, each from its last up to its root.
+    These, which the records index, come body by body: those that turn its tree, then all from its
+    last up to its root.
     """
     first = np.unique(elements["slot"], return_index=True)[1]
     slots = np.zeros(len(first), SLOT_DTYPE)
@@ -30,9 +32,13 @@ def slots_of(model: mujoco.MjModel, elements: np.ndarray) -> tuple[np.ndarray, n
     slots["root"] = model.body_rootid[slots["body"]]
     slots["first"], slots["end"] = first, [*first[1:], len(elements)]
     chains = [dofs_above(model, last_dof(model, int(body))) for body in slots["body"]]
-    ends = np.cumsum([len(chain) for chain in chains])
-    slots["chain"], slots["chain_end"] = [0, *ends[:-1]], ends
-    return slots, np.array([dof for chain in chains for dof in chain], np.int32)
+    turning = spins(model)
+    turns = [[dof for dof in chain if turning[dof]] for chain in chains]
+    ends = np.cumsum([len(dofs) for both in zip(turns, chains, strict=True) for dofs in both])
+    slots["spin"] = [0, *ends[1:-1:2]]
+    slots["chain"], slots["chain_end"] = ends[::2], ends[1::2]
+    dofs = [dof for both in zip(turns, chains, strict=True) for each in both for dof in each]
+    return slots, np.array(dofs, np.int32)
 
 
 def dofs_above(model: mujoco.MjModel, dof: int) -> list[int]:

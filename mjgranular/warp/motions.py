@@ -22,11 +22,11 @@ from mjgranular.scheme.forces import secant
 from mjgranular.warp.grid import struct
 from mjgranular.warp.translate import struct_of, translated
 
-SLOT_DTYPE = np.dtype(
-    [(name, np.int32) for name in ("body", "root", "first", "end", "chain", "chain_end")]
-)
-Slot = struct("Slot", dict.fromkeys(SLOT_DTYPE.names or (), wp.int32))
-"""A body in the sand: its id, its tree's root, its elements, its degrees of freedom in `chain`."""
+_NAMES = ("body", "root", "first", "end", "spin", "chain", "chain_end")
+SLOT_DTYPE = np.dtype([(name, np.int32) for name in _NAMES])
+Slot = struct("Slot", dict.fromkeys(_NAMES, wp.int32))
+"""A body in the sand: its id, its tree's root, its elements, its degrees of freedom in `chain`;
+before them, from `spin` on, those that turn its tree (`scheme.workspace.spins`)."""
 
 Damping = struct(
     "Damping", {"turn": wp.mat33, "mixed": wp.mat33, "slide": wp.mat33, "arm": wp.vec3}
@@ -64,8 +64,21 @@ def motion_of(
     world: int,
 ):
     """Compute the motion of a body about its tree's center from joint velocities."""
+    return motion_by(slot.chain, slot.chain_end, chain, cdof, rates, world)
+
+
+@wp.func
+def motion_by(
+    first: int,
+    end: int,
+    chain: wp.array(dtype=int),
+    cdof: wp.array2d(dtype=wp.spatial_vector),
+    rates: wp.array2d(dtype=float),
+    world: int,
+):
+    """Compute what degrees of freedom, from `first` to before `end` in `chain`, add to a motion."""
     angular, linear = wp.vec3(), wp.vec3()
-    for k in range(slot.chain, slot.chain_end):
+    for k in range(first, end):
         axis = spatial(cdof, world, chain[k])
         rate = rates[world, chain[k]]
         angular += rate * axis.angular

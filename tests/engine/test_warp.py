@@ -27,8 +27,8 @@ SCENE = """
     <body name="box" pos="0 0 0.06">
       <freejoint/><geom type="box" size="0.1 0.08 0.05" mass="2"/>
     </body>
-    <body name="rod" pos="0.5 0 0.06">
-      <freejoint/><geom type="capsule" size="0.01 0.1" mass="0.1"/>
+    <body name="rod" pos="0.5 -0.1 0.06">
+      <freejoint/><geom type="capsule" size="0.01 0.1" mass="0.1" pos="0 0.1 0"/>
     </body>
     <body name="thigh" pos="0 0.5 0.3">
       <joint name="slide" type="slide" axis="0 0 1"/>

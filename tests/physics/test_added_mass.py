@@ -270,3 +270,30 @@ def test_measured_stopping_times_of_balls_in_glass_beads(stop):
         sand.step(data)
     assert data.time == pytest.approx(stop["time"], rel=0.05)
     assert MEASURED["diameter"] / 2 - data.qpos[2] == pytest.approx(stop["depth"], rel=0.2)
+
+
+FREE = "<freejoint/>"
+SLIDES = '<joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 0 1"/>'
+
+
+@pytest.mark.parametrize(("joints", "at"), [(FREE, "0.39 0 0"), (SLIDES, "-0.39 0 0")])
+def test_sand_that_moves_along_does_not_care_where_the_origin_is(joints, at):
+    # A ball that spins and falls, about its center and with its origin, or its hinge, far aside.
+    spins = []
+    for place in (np.zeros(3), np.array([float(x) for x in at.split()])):
+        is_free, words = joints == FREE, " ".join(map(str, place))
+        turn = "" if is_free else f'<joint axis="0 1 0" pos="{words}"/>'
+        where = words if is_free else "0 0 0"
+        model = mujoco.MjModel.from_xml_string(
+            f"""<mujoco><option timestep="1e-4" integrator="implicitfast"/><worldbody>
+            <body pos="0 0 0.08">{joints}{turn}<geom size="0.08" mass="2" pos="{where}"/></body>
+            </worldbody></mujoco>"""
+        )
+        data, sand = mujoco.MjData(model), Sand(model)
+        velocity = np.cross((0, 21.0, 0), -place if is_free else place) - (0, 0, 1)
+        data.qvel[:] = (*velocity, 0, 21, 0) if is_free else (velocity[0], velocity[2], 21)
+        data.qpos[:3] -= place if is_free else 0
+        while data.time < 0.05:
+            sand.step(data)
+        spins.append(data.qvel[4 if is_free else 2])
+    assert spins[1] == pytest.approx(spins[0], rel=0.03)
