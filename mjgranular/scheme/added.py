@@ -11,19 +11,8 @@ from typing import Any, NamedTuple
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.fields import column, rows
 from mjgranular.kernel.lanes import choose
-from mjgranular.kernel.motion import read_motion, velocity_at
-from mjgranular.kernel.vector import (
-    Matrix,
-    Vector,
-    cross,
-    dot,
-    norm,
-    outer,
-    read_vector,
-    transposed,
-    vector,
-    write_vector,
-)
+from mjgranular.kernel.motion import Motion, read_motion, velocity_at, write_motion
+from mjgranular.kernel.vector import Matrix, Vector, cross, dot, norm, outer, transposed, vector
 from mjgranular.law.kernel import LawKernel
 from mjgranular.scheme.dense import add_scaled, clear
 from mjgranular.scheme.layout import ARM, FORCE, SAMPLE, SLACK, SLOPE, VELOCITY, added_row
@@ -98,8 +87,9 @@ def motion_before_turn(w, body):
     the joint axes, so that a normal and a point's velocity, both fixed to the body, had the product
     n.(V + W x r) with this motion one step ago, to first order in the time step.
     """
-    motion, spin = w.before[body, :6], w.before[body, 6:]
-    clear(w.before[body])
+    both = w.before[body]
+    motion, spin = both[:6], both[6:]
+    clear(both)
     k = body
     while k > 0 and w.body_dofnum[k] == 0:
         k = w.body_parentid[k]
@@ -110,9 +100,10 @@ def motion_before_turn(w, body):
         if w.dof_spins[j] != 0:
             add_scaled(spin, w.qvel[j], w.cdof[j])
         j = w.dof_parentid[j]
-    drift = drift_of(read_motion(spin, 0), w.h)
-    write_vector(spin, 0, drift)
-    write_vector(motion, 3, read_vector(motion, 3) - drift)
+    turning, before = read_motion(spin, 0), read_motion(motion, 0)
+    drift = drift_of(turning, w.h)
+    write_motion(spin, 0, Motion(turning.angular, drift))
+    write_motion(motion, 0, Motion(before.angular, before.linear - drift))
 
 
 @cache
@@ -131,7 +122,7 @@ def momentum_kernel(kernel: LawKernel) -> Any:
         if is_first:
             motion_before_turn(w, body)
         before, weld, h = read_motion(w.before[body], 0), w.body_weldid[body], w.h
-        drift = read_vector(w.before[body], 6)
+        drift = read_motion(w.before[body], 6).linear
         for lane in range(lanes):
             v = read(tile, VELOCITY * lanes + lane)
             sand = added(read_sample(tile, SAMPLE * lanes + lane), v, h)

@@ -136,8 +136,7 @@ _OWN = {
     "touched": (_I, ("nv",)),  # 1 if a constraint touches the degree of freedom
     "springs": (_F, ("nv", "nv")),  # stiffness of constraints
     "motion": (_F, ("nbody", 6)),  # spatial velocities of bodies
-    # The same at the start of the last step, and drift; 3 more for the spin (`scheme.added`).
-    "before": (_F, ("nbody", 12)),
+    "before": (_F, ("nbody", 12)),  # at the start of the last step; spin, drift (`scheme.added`)
     # Twice the energy of a rigid body's sand at the start of the step: now, and before it turned.
     "energy": (_F, ("nbody", 2)),
     "wrench": (_F, ("nbody", 6)),  # about the center of the tree: moment, force

@@ -43,6 +43,7 @@ _WALLS, _CHORDS, _CHORD = 4, 4, math.radians(22.5)
 _SHOWN, _ALONE = (np.array(groups, np.uint8) for groups in ([1, 1, 0, 0, 0, 0], [1, 0, 0, 0, 0, 0]))
 _MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
 _RODS = (int(mujoco.mjtGeom.mjGEOM_CAPSULE), int(mujoco.mjtGeom.mjGEOM_CYLINDER))
+_BALL = int(mujoco.mjtGeom.mjGEOM_SPHERE)
 
 Chords = Sequence[tuple[np.ndarray, np.ndarray]]
 """Begins and vectors of the chords of a ray [m]."""
@@ -127,14 +128,13 @@ def join_faces(
             for part in _connected(at - reach, at + reach, _GAP * width):
                 found = _width_of(at[part], half[part], areas[rows[part]])
                 widths[rows[part]], longer[rows[part]] = found
-        curved = mine[~is_flat]
+        curved, turns = mine[~is_flat], data.geom_xmat.reshape(-1, 3, 3)
         for geom in np.unique(facets["geom"][curved]):
             half, rows = half_extents(model, geom), curved[facets["geom"][curved] == geom]
-            (width, long), along = 2 * np.sort(half)[1:], half.argmax()
-            if model.geom_type[geom] in _RODS:
-                long = max(_rod_through(model, data, geom, facets["geom"][mine]), width)
-                along = 2
-            axis = data.geom_xmat[geom].reshape(3, 3)[:, along]
+            (width, long), axis = 2 * np.sort(half)[1:], turns[geom][:, half.argmax()]
+            if model.geom_type[geom] in (*_RODS, _BALL):
+                long, axis = _rod_through(model, data, geom, facets["geom"][mine])
+                long = max(long, width)
             longer[rows] = _longer(normals[rows], axis, width, long)
         for rows, axis, width, long in joined:
             rows = rows[facets["flat"][rows] < 0.5]
@@ -450,15 +450,27 @@ def _longer(normals: np.ndarray, axis: np.ndarray, width: float, long: float) ->
     return _LONG_ROUND * (1 - width / long) * (1 - (normals @ axis) ** 2)
 
 
-def _rod_through(model: mujoco.MjModel, data: mujoco.MjData, geom: int, geoms: np.ndarray) -> float:
-    """Return the length of a capsule or cylinder and what continues it, as wide, to `_GAP` [m]."""
-    rods = np.array([g for g in np.unique(geoms) if model.geom_type[g] in _RODS])
-    axis, slack = data.geom_xmat[geom].reshape(3, 3)[:, 2], 2 * _GAP * model.geom_size[geom, 0]
-    away = data.geom_xpos[rods] - data.geom_xpos[geom]
-    along, ends = away @ axis, np.array([half_extents(model, g)[2] for g in rods])
-    one = np.linalg.norm(away - np.outer(along, axis), axis=1) < slack
-    one &= abs(model.geom_size[rods, 0] - model.geom_size[geom, 0]) < slack / 2
-    one &= abs(data.geom_xmat[rods].reshape(-1, 3, 3)[:, :, 2] @ axis) > _PARALLEL
-    rods, low, high = rods[one], (along - ends)[one, None], (along + ends)[one, None]
-    (part,) = (p for p in _connected(low, high, slack) if geom in rods[p])
-    return float(high[part].max() - low[part].min())
+def _rod_through(
+    model: mujoco.MjModel, data: mujoco.MjData, geom: int, geoms: np.ndarray
+) -> tuple[float, np.ndarray]:
+    """Return the length of the rod that a round geom is part of [m], and its axis.
+
+    That is a capsule or a cylinder with what continues it, as wide, to `_GAP`: others, and spheres.
+    """
+    ids = np.array([g for g in np.unique(geoms) if model.geom_type[g] in (*_RODS, _BALL)])
+    balls, radius = model.geom_type[ids] == _BALL, model.geom_size[geom, 0]
+    axes, slack = data.geom_xmat.reshape(-1, 3, 3)[ids, :, 2], 2 * _GAP * radius
+    ends = np.array([half_extents(model, g)[2] for g in ids])
+    found = 0.0, axes[0]
+    for line, axis in zip(ids, axes, strict=True):
+        away = data.geom_xpos[ids] - data.geom_xpos[line]
+        along = away @ axis
+        one = np.linalg.norm(away - np.outer(along, axis), axis=1) < slack
+        one &= abs(model.geom_size[ids, 0] - radius) < slack / 2
+        one &= balls | (abs(axes @ axis) > _PARALLEL)
+        if model.geom_type[line] == _BALL or geom not in ids[one]:
+            continue
+        low, high = (along - ends)[one, None], (along + ends)[one, None]
+        (part,) = (p for p in _connected(low, high, slack) if geom in ids[one][p])
+        found = max(found, (float(high[part].max() - low[part].min()), axis), key=lambda x: x[0])
+    return found

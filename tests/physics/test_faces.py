@@ -365,6 +365,20 @@ def test_layers_are_thick_before_what_is_long():
     assert ratio(plate) == pytest.approx(1 + 0.73 * 0.5, rel=0.01)
 
 
+def test_a_capsule_is_a_cylinder_with_two_balls():
+    whole = '<geom type="capsule" size="0.02 0.08" euler="0 90 0" mass="0.1"/>'
+    cut = '<geom type="cylinder" size="0.02 0.08" euler="0 90 0" mass="0.06"/>' + "".join(
+        f'<geom size="0.02" pos="{x} 0 0" mass="0.02"/>' for x in (-0.08, 0.08)
+    )
+    thick = []
+    for geoms in (whole, cut):
+        facets = facets_from_model(model_of(geoms), range(3 if geoms == cut else 1), 24)
+        for end in (True, False):
+            mine = facets[(np.abs(facets["point"][:, 0]) > 0.08) == end]
+            thick.append(mine["area"] @ mine["layer"] / mine["area"].sum())
+    assert thick[2:] == pytest.approx(thick[:2], rel=0.02)
+
+
 @pytest.mark.parametrize("count", [4, 16])
 def test_a_mesh_in_wedges_is_as_wide_as_in_one(count):
     turns = 2 * math.pi * np.arange(49) / 48
