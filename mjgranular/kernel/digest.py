@@ -29,9 +29,7 @@ _SETTINGS = (
 
 # Folders of modules that contain kernels, or that kernels read while they are compiled: programs
 # are compiled again after a change in one of these.
-FOLDERS = (
-    "engine", "kernel", "law", "relief", "render", "sand", "scheme", "shape", "surface",
-)  # fmt: skip
+FOLDERS = "engine experiment kernel law relief render sand scheme shape surface".split()
 
 
 def digest(value: object) -> str:

@@ -146,7 +146,7 @@ _OWN = {
     "friction": (_F, ("nfriction", 2)),  # of friction losses: acceleration and multiplier
     "dofs": (_I, ("nv",)),  # 0, 1, 2, ...
     "lone_dofs": (_I, ("nlone",)),
-    "dof_spins": (_I, ("nv",)),  # 1 for the rotations of free joints
+    "dof_spins": (_I, ("nv",)),  # 1 for those of `spins`
     "heads": (HEAD_DTYPE, ("tile_count",)),  # of tiles: body, live lanes
     "tiles": (_F, ("tile_count", "tile_size")),
     "statistics": ([(field.name, field.type) for field in fields(Solver)], (1,)),
@@ -203,23 +203,26 @@ def make_workspace(
 
 
 def spins(model: mujoco.MjModel) -> np.ndarray:
-    """Return which degrees of freedom turn a tree that can go wherever they move its center.
+    """Return which degrees of freedom turn a rigid tree that can go wherever they move its center.
 
     They are the rotations of a free joint, or of hinges or a ball after slides of the same body.
     """
     found = np.zeros(model.nv, bool)
-    for body in np.unique(model.body_rootid[model.dof_bodyid]):
+    roots = model.body_rootid[model.dof_bodyid]
+    for body in np.unique(roots[roots == model.dof_bodyid]):
+        dofs = np.flatnonzero(roots == body)
         joints = model.body_jntadr[body] + np.arange(model.body_jntnum[body])
         kinds, axes = model.jnt_type[joints], model.jnt_axis[joints]
         slides = np.cumprod(kinds == mujoco.mjtJoint.mjJNT_SLIDE).astype(bool)
         hinges = ~slides & (kinds == mujoco.mjtJoint.mjJNT_HINGE)
         ways = np.linalg.matrix_rank(axes[slides]) if slides.any() else 0
         planar = ways == 2 and np.abs(axes[hinges] @ axes[slides].T).max(initial=0.0) < 1e-9
-        if kinds[:1] == mujoco.mjtJoint.mjJNT_FREE:
-            found[model.jnt_dofadr[joints[0]] + np.arange(3, 6)] = True
+        if len(dofs) != model.body_dofnum[body]:
+            continue  # it has joints
+        if (kinds == mujoco.mjtJoint.mjJNT_FREE).any():
+            found[dofs[3:]] = True
         elif ways == 3 or (planar and (slides | hinges).all()):
-            end = model.body_dofadr[body] + model.body_dofnum[body]
-            found[model.body_dofadr[body] + slides.sum() : end] = True
+            found[dofs[slides.sum() :]] = True
     return found
 
 

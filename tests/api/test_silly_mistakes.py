@@ -463,7 +463,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "body of an environment": (
         lambda: on_sand("Hopper-v5", bodies="foto"),
-        "mjgranular 'sand': no body of the model 'foto' ... did you mean foot?",
+        "no body of the model 'foto' ... did you mean foot?",
     ),
     "sand of an environment": (
         lambda: on_sand("Hopper-v5", "play_sand"),

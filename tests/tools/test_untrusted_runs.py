@@ -19,7 +19,7 @@ from stable_baselines3 import PPO, SAC
 from mjgranular._util import files
 from mjgranular.cli import main
 from mjgranular.errors import OutputError
-from mjgranular.learn import change, find_settings, weights
+from mjgranular.learn import change, checkpoint, find_settings
 from mjgranular.learn.policies import POLICY_FILES, load_policy, shipped_policies
 from mjgranular.learn.run import Run, begin_run, open_run
 from mjgranular.learn.train import train
@@ -109,7 +109,7 @@ def test_weights_that_hold_a_pickle_are_refused(trained, tmp_path):
             for name, content in {**entries, "policy.pth": pickle.dumps(Bomb(marker))}.items():
                 archive.writestr(name, content)
         with pytest.raises(OutputError, match="holds more than numbers"):
-            weights.read_weights(file)
+            checkpoint.read_weights(file)
     assert not marker.exists()
 
 
@@ -188,8 +188,8 @@ def test_a_policy_that_squashes_its_actions_acts_as_stable_baselines_has_it(trai
     ids=str,
 )
 def test_spaces_are_kept_as_they_are(space):
-    described = json.loads(json.dumps(weights.space_as_json(space)))
-    assert weights.space_from_json(described) == space
+    described = json.loads(json.dumps(checkpoint.space_as_json(space)))
+    assert checkpoint.space_from_json(described) == space
 
 
 @pytest.mark.parametrize(
