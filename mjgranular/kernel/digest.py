@@ -29,7 +29,10 @@ _SETTINGS = (
 
 # Folders of modules that contain kernels, or that kernels read while they are compiled: programs
 # are compiled again after a change in one of these.
-FOLDERS = "engine experiment kernel law relief render sand scheme shape surface".split()
+FOLDERS = (
+    "engine", "experiment", "kernel", "law", "relief", "render", "sand", "scheme", "shape",
+    "surface",
+)  # fmt: skip
 
 
 def digest(value: object) -> str:

@@ -203,10 +203,7 @@ def make_workspace(
 
 
 def spins(model: mujoco.MjModel) -> np.ndarray:
-    """Return which degrees of freedom turn a rigid tree that can go wherever they move its center.
-
-    They are the rotations of a free joint, or of hinges or a ball after slides of the same body.
-    """
+    """Return which rotations are of a rigid tree that is free, or on slides, and so can drift."""
     found = np.zeros(model.nv, bool)
     roots = model.body_rootid[model.dof_bodyid]
     for body in np.unique(roots[roots == model.dof_bodyid]):
