@@ -199,5 +199,6 @@ def test_constants_that_have_changed_are_named():
 def test_policies_that_come_with_the_package_act_on_the_sand_that_they_say(name):
     run = shipped_policies()[name]
     assert run.sand
-    # Policies under the dynamic law were trained before it had slip, and `evaluate` says so.
-    assert changes(run.sand, sands_made(run.environment, run.arguments)) in ("", "slip 0 (now 2)")
+    # Robots that follow commands were trained before the law had slip, and `evaluate` says so.
+    older = ("", "slip 0 (now 2)") if "Velocity" in name else ("",)
+    assert changes(run.sand, sands_made(run.environment, run.arguments)) in older
