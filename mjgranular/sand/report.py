@@ -24,14 +24,14 @@ _VECTORS = ("point", "velocity", "force")
 _NUMBERS = ("depth", "immersed_length", "power", "froude", "width")
 ELEMENT_DTYPE = np.dtype(
     [
-        *((name, np.int64) for name in ("geom", "body")),
+        *((name, np.int64) for name in ("geom_id", "body_id")),
         *((name, np.float64) for name in _NUMBERS),
         *((name, np.float64, (3,)) for name in _VECTORS),
     ]
 )
 """Fields of `Report.elements`. Vectors are in the world frame.
 
-- `geom`, `body`: ids of the geom that the element was made from, and of its body.
+- `geom_id`, `body_id`: ids of the geom that the element was made from, and of its body.
 - `depth`: depth of the element below the surface, of a rod's deeper end [m]; negative above it.
 - `immersed_length`: length of a rod in the sand [m]; 0 for other elements.
 - `point`: E, where the force acts [m]; the element's middle above the sand.
@@ -212,8 +212,8 @@ def _element_records(
 ) -> np.recarray:
     """Copy the contacts; above the sand kernels write only the depth."""
     table = np.recarray(len(elements), ELEMENT_DTYPE)
-    for name in ("geom", "body", "width"):
-        table[name] = elements[name]
+    for name, origin in (("geom_id", "geom"), ("body_id", "body"), ("width", "width")):
+        table[name] = elements[origin]
     for name in ("depth", "power", *_VECTORS):
         table[name] = contacts[name]
     table["immersed_length"] = contacts["length"]

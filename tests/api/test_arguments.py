@@ -110,6 +110,18 @@ def test_a_body_of_a_report_too_goes_by_name_first():
     assert report["2"] is report["3"] is report[np.int64(3)] is two
     assert list(report) == ["toe", "2", "2"]
     assert "toe" in report
+
+
+def test_elements_of_a_report_have_ids_and_no_field_that_was_a_name():
+    """Of 0.3.0's `element.body == "ball"` it would silently be false."""
+    ball = model()
+    report = Sand(ball, **SAND).report(mujoco.MjData(ball))
+    element = report.elements[0]
+    assert report.names.geoms[element.geom_id] == "ball"
+    assert report.names.bodies[element.body_id] == "ball"
+    for name in ("geom", "body"):
+        with pytest.raises(AttributeError):
+            getattr(element, name)
     assert "heel" not in report
 
 

@@ -192,7 +192,7 @@ def test_lumped_law_in_three_dimensions(chain_model, slope):
     for _ in range(200):
         data = chain_state(model, rng)
         for element in sand.report(data).elements:
-            geom = model.geom(element.geom).id
+            geom = element.geom_id
             center, axis, length, d = rod(model, data, geom)
             ends = [center + axis * length / 2, center - axis * length / 2]
             depths = [float((np.array([0, 0, 0.02]) - end) @ n) for end in ends]
@@ -250,7 +250,7 @@ def test_pieces_are_as_deep_as_they_lie(chain_model, slope):
         data = chain_state(model, rng)
         elements = sand.report(data).elements
         for first in range(0, len(elements), pieces):
-            center, axis, length, _ = rod(model, data, model.geom(elements[first].geom).id)
+            center, axis, length, _ = rod(model, data, elements[first].geom_id)
             ends = center + axis * length * (np.arange(pieces + 1)[:, None] / pieces - 0.5)
             depths = (np.array([0, 0, 0.02]) - ends) @ n
             expected = np.maximum(depths[1:], depths[:-1])
@@ -280,7 +280,7 @@ def test_moment_is_about_the_centre_of_mass(chain_model):
         for body in report.bodies:
             center = data.xipos[model.body(body.body).id]
             number = model.body(body.body).id
-            mine = report.elements[report.elements.body == number]
+            mine = report.elements[report.elements.body_id == number]
             force = np.sum([element.force for element in mine], axis=0)
             moment = np.sum([np.cross(e.point - center, e.force) for e in mine], axis=0)
             scale = 1e-12 * (1 + float(np.linalg.norm(force)))
@@ -305,7 +305,7 @@ def test_power_is_that_of_the_generalized_force(chain_model):
             mujoco.mj_applyFT(model, data, body.force, body.moment, data.xipos[i], i, generalized)
         jacobian = np.zeros((3, model.nv))
         for element in report.elements:
-            i = model.body(element.body).id
+            i = element.body_id
             mujoco.mj_jac(model, data, jacobian, None, element.point, i)
             through_points += jacobian.T @ element.force
             if element.immersed_length:
