@@ -156,7 +156,7 @@ class Run:
             if value is not None and not is_finite(value):
                 raise self.error(f"{name} must be a finite number, got {shown(value)}")
         if not (is_finite(self.angle) and abs(self.angle) <= math.pi / 2):
-            raise self.error("the angle from the vertical must be from -90 to 90 degrees")
+            raise self.error(f"angle must be from -90 to 90 degrees, got {shown(self.angle)} rad")
         if self.kind == "drop" and self.speed is None:
             raise self.error("a drop needs the speed at which it meets the sand")
         if data is not None:

@@ -176,6 +176,12 @@ def pushed(speed, depth, force, angle=0.0):
     return Run("push", "intrude", data, body=PLATE, speed=speed, angle=angle)
 
 
+def test_an_angle_in_degrees_is_refused_with_its_unit():
+    """0.3.0 took degrees in `MeasuredRun`."""
+    with pytest.raises(InputError, match="angle must be from -90 to 90 degrees, got 45 rad"):
+        pushed(0.01, [0.01], [1.0], angle=45)
+
+
 @pytest.mark.parametrize("angle", [0.0, 0.8])
 def test_a_slow_push_under_added_mass_is_quasi_static(angle):
     """The sand that moves along is not accelerated: the plate has one speed, and does not turn."""
