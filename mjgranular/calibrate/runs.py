@@ -184,7 +184,7 @@ class Run:
             object.__setattr__(self, "body", self.model)
         elif self.body is None:
             raise self.error(
-                f"a {self.kind} needs a body, such as {{shape: sphere, diameter: 0.0254}}"
+                f"{self.kind} needs a body, such as {{shape: sphere, diameter: 0.0254}}"
             )
         elif not isinstance(self.body, Path | Projectile):
             raise self.error(
@@ -202,7 +202,7 @@ class Run:
             if self.kind == "walk" and not spec.keys:
                 raise InputError(f"{shown(self.shape)}: a walk needs a keyframe to start from")
         elif self.kind in ("turn", "roll", "sink", "walk"):
-            raise self.error(f"a {self.kind} needs a body from a file: {{file: leg.xml}}")
+            raise self.error(f"{self.kind} needs a body from a file: {{file: leg.xml}}")
         elif self.kind == "drop" and not getattr(self.body, "is_heavy", True):
             raise self.error("a body that is dropped needs its mass [kg]")
 
