@@ -46,16 +46,19 @@ def bounds(session: nox.Session) -> None:
 def lowest(session: nox.Session) -> None:
     """The lowest version of every dependency: whether the bounds are true."""
     session.install(TORCH)  # by itself: the lowest build would be the one with CUDA
-    session.install("--resolution", "lowest-direct", ".[test]")
+    session.install("--resolution", "lowest-direct", ".[test]", "pip")
     # What they depend on is new, and deprecates what the old ones do; policies are of MuJoCo 4.
-    filters = "error", "ignore::DeprecationWarning", "ignore:.* was trained with MuJoCo"
+    filters = (
+        "error", "ignore:gravity is 0", "ignore::DeprecationWarning",
+        "ignore:.* was trained with MuJoCo",
+    )  # fmt: skip
     _run_all_tests(session, "-o", "filterwarnings=" + "\n".join(filters))
 
 
 @nox.session(python=("3.11", "3.13"), venv_backend="uv")
 def highest(session: nox.Session) -> None:
     """The newest version of every dependency: whether an upper bound is due."""
-    session.install("--upgrade", ".[test]", TORCH)
+    session.install("--upgrade", ".[test]", TORCH, "pip")
     _run_all_tests(session)
 
 

@@ -136,7 +136,7 @@ class Worlds:
         for name in ("qacc_warmstart", "act", "time", "history", "plastic"):
             field = getattr(self._d, name)
             values = field.numpy()
-            values[ids] = getattr(self._fresh, name)
+            values[ids] = getattr(self._fresh, name, 0.0)  # MuJoCo 3.17 has no `plastic`
             field.assign(values)
         if self._drawn.shape[1]:
             first = self._full.plugin_stateadr[instance_of(self._full, self._task.figures.sands[0])]

@@ -212,7 +212,8 @@ def test_legs_may_be_in_any_order(go1, tmp_path):
     for _ in range(20):
         action = 0.3 * one.action_space.sample()
         seen, same = (env.step(action) for env in envs)
-        assert same[0] == pytest.approx(seen[0], abs=1e-6)
+        # 1e-6 with MuJoCo 4.0, 8e-6 with 3.17: other orders round otherwise.
+        assert same[0] == pytest.approx(seen[0], abs=1e-5)
         assert same[1] == pytest.approx(seen[1], abs=1e-7)
 
 
