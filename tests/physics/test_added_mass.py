@@ -299,26 +299,32 @@ def test_sand_that_moves_along_does_not_care_where_the_origin_is(joints, at):
     assert spins[1] == pytest.approx(spins[0], rel=0.03)
 
 
-@pytest.mark.parametrize("tilt", [0, 40, -40])
+@pytest.mark.parametrize("tilt", [0, 40, -40, 80])
 def test_a_limb_that_turns_steadily_takes_its_sand_along_for_nothing(tilt):
     """Its momentum turns with the hinge: the torque is that without it, once it is in motion."""
-    model = mujoco.MjModel.from_xml_string(f"""
-    <mujoco>
-      <option timestep="0.001" integrator="implicitfast"/>
-      <worldbody>
-        <body pos="0 0 -0.2">
-          <joint name="hip" axis="0 0 1"/>
-          <geom type="box" size="0.05 0.005 0.05" pos="0.2 0 0" euler="0 0 {tilt}" mass="1"/>
-        </body>
-      </worldbody>
-      <actuator><velocity joint="hip" kv="1e6"/></actuator>
-    </mujoco>
-    """)
-    torques = []
-    for law in (LAW, replace(LAW, added=0.0)):
+
+    def torque(law, slides=()):
+        joints = "".join(f'<joint name="{axis}" type="slide" axis="{axis}"/>' for axis in slides)
+        motors = "".join(f'<velocity joint="{axis}" kv="1e6"/>' for axis in slides)
+        model = mujoco.MjModel.from_xml_string(f"""
+        <mujoco>
+          <option timestep="0.001" integrator="implicitfast"/>
+          <worldbody>
+            <body pos="0 0 -0.2">{joints}
+              <joint name="hip" axis="0 0 1"/>
+              <geom type="box" size="0.05 0.005 0.05" pos="0.2 0 0" euler="0 0 {tilt}" mass="1"/>
+            </body>
+          </worldbody>
+          <actuator>{motors}<velocity joint="hip" kv="1e6"/></actuator>
+        </mujoco>
+        """)
         sand, data = Sand(model, law=law), mujoco.MjData(model)
-        data.qvel[0], data.ctrl[0] = 10.0, 10.0
+        data.qvel[-1], data.ctrl[-1] = 10.0, 10.0
         for _ in range(100):
             sand.step(data)
-        torques.append(data.qfrc_actuator[0])
-    assert torques[0] == pytest.approx(torques[1], rel=1e-6)
+        return data.qfrc_actuator[-1]
+
+    alone = torque(replace(LAW, added=0.0))
+    assert torque(LAW) == pytest.approx(alone, rel=1e-6)
+    # Slides that hold the hinge in its place: its body counts as one that goes straight.
+    assert -0.001 < torque(LAW, ("1 0 0", "0 1 0")) / alone - 1 < 0.095
